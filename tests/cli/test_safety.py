@@ -65,13 +65,6 @@ def unprotected(command: list[object], folder: Path, **variables: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def law_scenario(folder: Path) -> Path:
-    """Write a scenario whose controller starts a Python."""
-    write_scenario(folder, 0.01, '[fmus]\ncontroller = "starts.py:Starts"\n')
-    (folder / "starts.py").write_text(STARTING_LAW)
-    return folder
-
-
 PROGRAM = Path(sysconfig.get_path("scripts")) / "panda-cosim"
 
 
@@ -81,7 +74,9 @@ def test_code_in_the_working_directory_does_not_run(tmp_path, isolate):
     names = {name for name in sys.stdlib_module_names if name != "__main__"} | OTHERS
     spoil(tmp_path / "here", names - STARTERS if isolate else names)
     program = [sys.executable, "-m", "panda_cosim"] if isolate else [PROGRAM]
-    scenario, out = law_scenario(tmp_path / "scenario"), tmp_path / "run"
+    scenario, out = tmp_path / "scenario", tmp_path / "run"
+    write_scenario(scenario, 0.01, '[fmus]\ncontroller = "starts.py:Starts"\n')
+    (scenario / "starts.py").write_text(STARTING_LAW)
     options = ["--no-video", "--no-view", "--out", out, *(["--isolate"] if isolate else [])]
     # FMUs are built in one of both.
     cache = {} if isolate else {"PANDA_COSIM_CACHE": str(tmp_path / "cache")}

@@ -30,11 +30,6 @@ def load(name: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(ASSETS / scene_file(name)))
 
 
-def menagerie() -> mujoco.MjModel:
-    path = Path(MENAGERIE or "") / "franka_emika_panda" / "panda.xml"
-    return mujoco.MjModel.from_xml_path(str(path))
-
-
 def at_home(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
@@ -65,16 +60,6 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
     }
 
 
-def test_scene_has_the_tasks_sizes_and_options(scene):
-    assert (scene.nq, scene.nv, scene.nu) == (16, 15, 8)
-    assert scene.opt.timestep == 1e-3
-    assert scene.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    bits = mujoco.mjtDisableBit
-    assert scene.opt.disableflags == bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE
-    assert scene.vis.global_.offwidth >= 1920
-    assert scene.vis.global_.offheight >= 1080
-
-
 def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop():
     motors, tabletop = load(TORQUE_DRIVEN), load("tabletop")
     limits = motors.actuator_forcerange[:7]
@@ -89,10 +74,11 @@ def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop():
 
 
 @pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
-def test_arm_is_menageries_in_kinematics_and_dynamics():
+def test_arm_is_menageries_in_kinematics_dynamics_joints_and_servos():
     """Hand pose, Jacobian, mass matrix and bias force agree in random states."""
     ours = load("panda")
-    theirs = menagerie()
+    path = Path(MENAGERIE or "") / "franka_emika_panda" / "panda.xml"
+    theirs = mujoco.MjModel.from_xml_path(str(path))
     rng = np.random.default_rng(7)
     low, high = ours.jnt_range.T
     for _ in range(50):
@@ -101,6 +87,15 @@ def test_arm_is_menageries_in_kinematics_and_dynamics():
             arm_quantities(ours, qpos, qvel), arm_quantities(theirs, qpos, qvel), strict=True
         ):
             np.testing.assert_allclose(our, their, rtol=0, atol=ARM_TOLERANCE * abs(their).max())
+    for field in ("jnt_range", "dof_armature", "dof_damping", "eq_solref", "eq_solimp", "wrap_prm"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
+    for field in ("gainprm", "biasprm", "ctrlrange", "forcerange"):
+        our, their = getattr(ours, f"actuator_{field}"), getattr(theirs, f"actuator_{field}")
+        np.testing.assert_array_equal(our, their[:7], err_msg=field)
+    gripper = load("tutorial").actuator("actuator8")
+    for field in ("gainprm", "biasprm", "ctrlrange", "forcerange"):
+        their = getattr(theirs.actuator("actuator8"), field)
+        np.testing.assert_array_equal(getattr(gripper, field), their, err_msg=field)
 
 
 def arm_quantities(
@@ -114,21 +109,6 @@ def arm_quantities(
     mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], hand.id)
     mujoco.mj_fullM(model, data, mass)
     return hand.xpos, hand.xquat, jacobian, mass, data.qfrc_bias
-
-
-@pytest.mark.skipif(MENAGERIE is None, reason="MENAGERIE_ROOT is not set")
-def test_arm_has_menageries_joints_and_servos():
-    ours = load("panda")
-    theirs = menagerie()
-    for field in ("jnt_range", "dof_armature", "dof_damping", "eq_solref", "eq_solimp", "wrap_prm"):
-        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
-    for field in ("gainprm", "biasprm", "ctrlrange", "forcerange"):
-        our, their = getattr(ours, f"actuator_{field}"), getattr(theirs, f"actuator_{field}")
-        np.testing.assert_array_equal(our, their[:7], err_msg=field)
-    gripper = load("tutorial").actuator("actuator8")
-    for field in ("gainprm", "biasprm", "ctrlrange", "forcerange"):
-        their = getattr(theirs.actuator("actuator8"), field)
-        np.testing.assert_array_equal(getattr(gripper, field), their, err_msg=field)
 
 
 def test_neighbouring_links_never_touch_and_distant_ones_can():

@@ -35,14 +35,9 @@ def test_its_links_and_ranges_are_its_own():
     assert model.jnt_range[5].tolist() == [0.4398, 4.6216]
 
 
-@pytest.fixture(scope="module")
-def hasty():
-    """What asks for more than the arm's limits."""
-    return run_scenario(with_fr3("pick_and_place_fast")).recording
-
-
 @pytest.mark.own_process
-def test_the_law_keeps_its_limits(hasty):
+def test_the_law_keeps_its_limits_where_more_is_asked_for():
+    hasty = run_scenario(with_fr3("pick_and_place_fast")).recording
     q, qd = hasty["controller.qpos_ref"], hasty["controller.qvel_ref"]
     acceleration = np.abs(np.diff(qd, axis=0)).max() / 1e-3  # rad/s^2
     jerk = np.abs(np.diff(qd, 2, axis=0)).max() / 1e-6  # rad/s^3

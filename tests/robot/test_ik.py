@@ -11,24 +11,10 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from panda_cosim.assets.franka import Q_MAX, Q_MIN
+from panda_cosim.controller import ik, singularity
 from panda_cosim.controller.gains import Gains
-from panda_cosim.controller.ik import (
-    LEAST_ERROR,
-    OFF_PATH,
-    WEIGHTS,
-    correcting_twist,
-    damped_least_squares,
-    pose_error,
-    scaled_least_squares,
-)
 from panda_cosim.controller.linalg import damped_factor
 from panda_cosim.controller.model import ArmModel, load_arm
-from panda_cosim.controller.singularity import (
-    find_weak_direction,
-    manipulability,
-    singular_damping,
-    smallest_singular_value,
-)
 from panda_cosim.task.rotations import Array
 
 ANGLE_TOLERANCE = 1e-9  # rad
@@ -62,7 +48,7 @@ def turn(axis_angle: Array, q: Array) -> Array:
 
 def error_between(command: Array, hand: Array) -> Array:
     """Return the rotation from hand to command [rad], in the world frame."""
-    return pose_error(np.zeros(3), command, np.zeros(3), hand)[3:]
+    return ik.pose_error(np.zeros(3), command, np.zeros(3), hand)[3:]
 
 
 @cache
@@ -89,7 +75,7 @@ def random_posture(seed: int) -> Array:
 
 def solve(jac: Array, twist: Array, damping: float, rate: Array) -> Array:
     """Return the joint velocities for a wanted twist and null-space rate."""
-    return damped_least_squares(jac, damped_factor(jac, damping), twist, rate)
+    return ik.damped_least_squares(jac, damped_factor(jac, damping), twist, rate)
 
 
 # Pose error.
@@ -117,7 +103,7 @@ def test_an_error_is_corrected_as_fast_as_can_be_braked(linear, angular, scale, 
         angular_braking=3.0 * braking,
     )
     error = np.concatenate((scale * linear, angular))
-    twist = correcting_twist(error, gains)
+    twist = ik.correcting_twist(error, gains)
     for part, before, most, rate in (
         (twist[:3], error[:3], speed, braking),
         (twist[3:], error[3:], 2.0 * speed, 3.0 * braking),
@@ -150,15 +136,15 @@ def test_within_a_box_scale_and_velocities_are_optimal(seed, off, singular):
     rng = np.random.default_rng(seed)
     jac, free = jacobian(random_posture(seed)), rng.normal(size=7)
     low, high = -rng.uniform(0.05, 1.0, 7), rng.uniform(0.05, 1.0, 7)
-    error = off * unit(rng.normal(size=6)) / WEIGHTS
-    qd = scaled_least_squares(jac, error, free, 5e-3, singular, np.stack((low, high)))
+    error = off * unit(rng.normal(size=6)) / ik.WEIGHTS
+    qd = ik.scaled_least_squares(jac, error, free, 5e-3, singular, np.stack((low, high)))
     assert (qd >= low).all()
     assert (qd <= high).all()
-    asked, moved = WEIGHTS * (jac @ free), WEIGHTS * (jac @ qd)
-    price = asked @ asked * (OFF_PATH / max(off, LEAST_ERROR)) ** 4
+    asked, moved = ik.WEIGHTS * (jac @ free), ik.WEIGHTS * (jac @ qd)
+    price = asked @ asked * (ik.OFF_PATH / max(off, ik.LEAST_ERROR)) ** 4
     scale = min(max((asked @ moved + price) / (asked @ asked + price), 0.0), 1.0)
-    square = 25e-6 + (singular * min(off / OFF_PATH, 1.0)) ** 2
-    gradient = (WEIGHTS[:, None] * jac).T @ (moved - scale * asked) + square * (qd - free)
+    square = 25e-6 + (singular * min(off / ik.OFF_PATH, 1.0)) ** 2
+    gradient = (ik.WEIGHTS[:, None] * jac).T @ (moved - scale * asked) + square * (qd - free)
     inside = (qd > low) & (qd < high)
     assert np.abs(gradient[inside]).max(initial=0.0) <= 2e-6
     assert (gradient[qd == low] >= -1e-6).all()
@@ -173,8 +159,8 @@ def test_a_hand_that_is_late_slows_down_on_its_path(seed, half):
     assume(np.linalg.svd(jac)[1][-1] > 0.05)
     free = np.linalg.pinv(jac) @ twist
     width = np.abs(free) / 2.0 if half else np.abs(free) + 1.0
-    qd = scaled_least_squares(jac, np.ones(6), free, 0.0, 0.0, np.stack((-width, width)))
-    moved, asked = WEIGHTS * (jac @ qd), WEIGHTS * twist
+    qd = ik.scaled_least_squares(jac, np.ones(6), free, 0.0, 0.0, np.stack((-width, width)))
+    moved, asked = ik.WEIGHTS * (jac @ qd), ik.WEIGHTS * twist
     along = moved @ asked / (asked @ asked)
     assert (0.45 if half else 0.999) <= along <= 1.001
     assert np.linalg.norm(moved - along * asked) <= 0.01 * np.linalg.norm(asked)
@@ -183,10 +169,10 @@ def test_a_hand_that_is_late_slows_down_on_its_path(seed, half):
 def test_without_a_solution_the_joints_brake():
     low, high = np.full(7, -0.2), np.array([-0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     jac, one, free = np.full((6, 7), 1e200), np.ones(6), np.zeros(7)
-    qd = scaled_least_squares(jac, one, free, 0.0, 0.0, np.stack((low, high)))
+    qd = ik.scaled_least_squares(jac, one, free, 0.0, 0.0, np.stack((low, high)))
     assert np.array_equal(qd, [-0.1, 0, 0, 0, 0, 0, 0])
     flat = np.full((2, 7), 1e9)  # so fast that a width of 1e-9 is rounded away
-    assert (scaled_least_squares(jac, one, free, 0.0, 0.0, flat) == 1e9).all()
+    assert (ik.scaled_least_squares(jac, one, free, 0.0, 0.0, flat) == 1e9).all()
 
 
 # Singularities and inertia.
@@ -199,20 +185,21 @@ def test_manipulability_and_smallest_singular_value_are_those_of_the_jacobian(se
     values = np.linalg.svd(jac)[1]
     assume(values[-1] < 0.9 * values[-2])  # else the direction converges more slowly
     factor = damped_factor(jac, 0.0)
-    smallest = smallest_singular_value(factor, find_weak_direction(jac))
-    assert manipulability(factor) == pytest.approx(np.prod(values), rel=1e-6, abs=1e-9)
+    smallest = singularity.smallest_singular_value(factor, singularity.find_weak_direction(jac))
+    assert singularity.manipulability(factor) == pytest.approx(np.prod(values), rel=1e-6, abs=1e-9)
     assert smallest == pytest.approx(values[-1], rel=1e-3, abs=1e-6)
 
 
 @given(value=st.floats(1e-3, 1.0), damping=st.floats(0.0, 1.0))
 def test_the_damping_grows_from_nothing_to_its_most_at_the_singularity(value, damping):
     gains = Gains(singular_value=value, singular_damping=damping)
-    course = [singular_damping(share * value, gains) for share in np.linspace(0.0, 1.2, 25)]
+    course = [singularity.singular_damping(s * value, gains) for s in np.linspace(0.0, 1.2, 25)]
     assert course[0] == damping
     assert course == sorted(course, reverse=True)
     assert course[20] <= 1e-7 * damping  # at the value itself, rounded
     assert not any(course[21:])
-    assert singular_damping(0.0, Gains(singular_value=0.0, singular_damping=damping)) == 0.0
+    nowhere = Gains(singular_value=0.0, singular_damping=damping)
+    assert singularity.singular_damping(0.0, nowhere) == 0.0
 
 
 @settings(max_examples=30, deadline=None)

@@ -7,17 +7,7 @@ from hypothesis import strategies as st
 from random_moves import run_moves
 
 from panda_cosim.assets.franka import HOME_Q, Q_MAX, Q_MIN, QD_MAX, QDD_MAX, QDDD_MAX
-from panda_cosim.controller.limits import (
-    ACCELERATION,
-    END_MARGIN,
-    END_SPEED,
-    JERK,
-    POSITION,
-    VELOCITY,
-    JointLimits,
-    Motion,
-    within,
-)
+from panda_cosim.controller import limits
 from panda_cosim.task.rotations import Array
 
 PERIOD = 0.001  # s
@@ -25,7 +15,7 @@ OVERSHOOT = QDD_MAX * PERIOD**2 / 4  # rad, by what the last, shorter step of a 
 seeds = st.integers(0, 2**32 - 1)
 
 
-LIMITS = JointLimits(share=1.0, lead=0.05, period=PERIOD)
+LIMITS = limits.JointLimits(share=1.0, lead=0.05, period=PERIOD)
 pull_from_ends = LIMITS.pull_from_ends
 NONE = np.zeros(7)
 HOME = np.array(HOME_Q)
@@ -33,37 +23,31 @@ HOME = np.array(HOME_Q)
 
 def box_at(q: Array, qd: Array, qdd: Array = NONE, lag: Array = NONE) -> tuple[Array, Array]:
     """Return the lowest and highest velocities where the reference moves at qd and qdd."""
-    low, high = LIMITS.velocity_box(Motion(q, qd, qdd, lag))
+    low, high = LIMITS.velocity_box(limits.Motion(q, qd, qdd, lag))
     return low, high
 
 
 def binding(choice: int, q: Array, qd: Array, qdd: Array = NONE) -> Array:
     """Tell what binds at the lowest (0) or highest (1) velocity of the box."""
     box = box_at(q, qd, qdd)
-    return LIMITS.binding(box[choice], Motion(q, qd, qdd, NONE), np.stack(box))
+    return LIMITS.binding(box[choice], limits.Motion(q, qd, qdd, NONE), np.stack(box))
 
 
-def test_at_rest_the_jerk_limits():
+def test_at_rest_the_jerk_limits_then_acceleration_speed_and_near_an_end_the_position():
     low, high = box = box_at(HOME, NONE)
     assert np.allclose(high, QDDD_MAX * PERIOD**2)
     assert np.allclose(low, -QDDD_MAX * PERIOD**2)
-    assert (binding(1, HOME, NONE) == JERK).all()
-    assert (LIMITS.binding(NONE, Motion(HOME, NONE, NONE, NONE), np.stack(box)) == 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("qd", "qdd", "most", "kind"),
-    [(NONE, QDD_MAX, QDD_MAX * PERIOD, ACCELERATION), (QD_MAX, NONE, QD_MAX, VELOCITY)],
-)
-def test_at_full_acceleration_and_speed_these_limit(qd, qdd, most, kind):
-    assert np.allclose(box_at(HOME, qd, qdd)[1], most)
-    assert (binding(1, HOME, qd, qdd) == kind).all()
-
-
-def test_near_an_end_the_position_limits():
-    close, speed = Q_MAX - END_MARGIN - 2e-5, 0.01 * QD_MAX  # rad, rad/s
+    assert (binding(1, HOME, NONE) == limits.JERK).all()
+    assert (LIMITS.binding(NONE, limits.Motion(HOME, NONE, NONE, NONE), np.stack(box)) == 0.0).all()
+    for qd, qdd, most, kind in (
+        (NONE, QDD_MAX, QDD_MAX * PERIOD, limits.ACCELERATION),
+        (QD_MAX, NONE, QD_MAX, limits.VELOCITY),
+    ):
+        assert np.allclose(box_at(HOME, qd, qdd)[1], most)
+        assert (binding(1, HOME, qd, qdd) == kind).all()
+    close, speed = Q_MAX - limits.END_MARGIN - 2e-5, 0.01 * QD_MAX  # rad, rad/s
     assert (box_at(close, speed)[1] < speed).all()
-    assert (binding(1, close, speed) == POSITION).all()
+    assert (binding(1, close, speed) == limits.POSITION).all()
 
 
 def test_joints_come_gradually_to_their_ends():
@@ -75,7 +59,7 @@ def test_joints_come_gradually_to_their_ends():
         q = q + PERIOD * qd
         close = Q_MAX - q < 0.1  # rad
         assert (np.abs(jerks[-1])[close] <= 0.1 * QDDD_MAX[close]).all()
-    assert np.allclose(q, Q_MAX - END_MARGIN, atol=1e-3)
+    assert np.allclose(q, Q_MAX - limits.END_MARGIN, atol=1e-3)
     assert (np.max(jerks, axis=0) > 0.9 * QDDD_MAX).all()  # where there is room
 
 
@@ -84,8 +68,8 @@ def test_joints_are_pulled_away_from_their_ends_and_nowhere_else():
     assert not pull_from_ends(0.5 * (Q_MIN + Q_MAX)).any()
     assert pull_from_ends(Q_MIN)[3] == pull_from_ends(Q_MAX)[3] == 0.0  # the stretched arm
     pulled = [0, 1, 2, 4, 5, 6]  # not joint 4
-    assert np.allclose(pull_from_ends(Q_MIN)[pulled], END_SPEED)
-    assert np.allclose(pull_from_ends(Q_MAX)[pulled], -END_SPEED)
+    assert np.allclose(pull_from_ends(Q_MIN)[pulled], limits.END_SPEED)
+    assert np.allclose(pull_from_ends(Q_MAX)[pulled], -limits.END_SPEED)
     for closer, further in ((0.63, 0.7), (0.7, 0.79)):  # rad
         up, weaker_up = (pull_from_ends(Q_MIN + room)[pulled] for room in (closer, further))
         down, weaker_down = (pull_from_ends(Q_MAX - room)[pulled] for room in (closer, further))
@@ -126,7 +110,7 @@ def test_no_joint_passes_its_end_however_it_is_driven(seed, towards):
         if not towards and tick % 200 == 0:
             side = rng.choice([-1.0, 1.0], 7)
         before, qd = qd, np.where(side > 0, high, low)
-        assert within(qd, np.stack((low, high)))
+        assert limits.within(qd, np.stack((low, high)))
         assert (np.abs(qd - before) <= QDD_MAX * PERIOD * (1 + 1e-6) + 1e-8).all()
         assert (np.abs(qd) <= QD_MAX + 1e-8).all()
         jerk = ((qd - before) / PERIOD - qdd) / PERIOD
@@ -148,9 +132,9 @@ def test_where_limits_are_inactive_the_box_contains_the_velocities(seed, size):
     step = size * rng.uniform(-1.0, 1.0, 7) * QDDD_MAX * PERIOD**2
     qd = qd_before + qdd_before * PERIOD + step
     lag = size * rng.uniform(-0.05, 0.05, 7)  # rad
-    before = Motion(q_ref, qd_before, qdd_before, lag)
+    before = limits.Motion(q_ref, qd_before, qdd_before, lag)
     if LIMITS.inactive(qd, before):
-        assert within(qd, LIMITS.velocity_box(before))
+        assert limits.within(qd, LIMITS.velocity_box(before))
     else:
         assert size > 0.5
 

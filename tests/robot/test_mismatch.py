@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fmu_support import in_process
-from panda_cosim import Recording, Scenario, Success, load_scenario, run_scenario
+from panda_cosim import Scenario, Success, load_scenario, run_scenario
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.controller.sensor_errors import SensorErrors
 from panda_cosim.controller.sensors import TRUTH, Sensors
@@ -114,37 +113,25 @@ def shortened(**keys: object) -> Scenario:
     return replace(scenario, mismatch=Mismatch(**keys))  # type: ignore[arg-type]
 
 
-def record(folder: str) -> None:
-    """Run with and without sensors that make no error, and a calibrated robot twice."""
-    cases = {"plain": {}, "zero": {"dropout": 0.0}, "one": {"preset": "calibrated"}}
-    for name, keys in (*cases.items(), ("again", cases["one"])):
-        run_scenario(shortened(**keys), f"{folder}/{name}")
-
-
-def record_late(folder: str) -> None:
-    """A move with readings that are 3 ms late, of which the controller knows 0 or 3 ms."""
-    short = {"duration": 0.5, "success": Success(), "push": ()}
-    for known in (0.0, 0.003):
-        keys = {"mismatch.delay": 0.003, "controller.reading_delay": known}
-        run_scenario(replace(PUSH.changed(keys), **short), f"{folder}/{known}")  # type: ignore[arg-type]
-
-
-def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path):
+@pytest.mark.own_process
+@pytest.mark.parametrize("known", [0.0, 0.003])
+def test_a_known_delay_does_not_let_the_hand_run_ahead(tmp_path, known):
     """The hand is ahead by its speed times the delay, unless the controller knows the delay."""
-    in_process(record_late, str(tmp_path))
-    unknown, known = (Recording.open(tmp_path / f"{delay}") for delay in (0.0, 0.003))
-    for recording, delay in ((unknown, 0.003), (known, 0.0)):
-        ahead = recording["plant.hand_xpos"] - recording["controller.pos_cmd"]
-        expected = delay * recording["controller.vel_cmd"]  # m
-        before_the_push = recording["time"] < 0.3
-        assert np.abs(ahead - expected)[before_the_push].max() < 1e-4  # m
-    assert np.abs(unknown["controller.vel_cmd"]).max() > 0.1  # m/s
+    keys = {"mismatch.delay": 0.003, "controller.reading_delay": known}
+    scenario = replace(PUSH, duration=0.3, success=Success(), push=()).changed(keys)
+    recording = run_scenario(scenario, tmp_path / "run").recording
+    ahead = recording["plant.hand_xpos"] - recording["controller.pos_cmd"]
+    expected = (0.003 - known) * recording["controller.vel_cmd"]  # m
+    assert np.abs(ahead - expected).max() < 1e-4  # m
+    assert np.abs(recording["controller.vel_cmd"]).max() > 0.1  # m/s
 
 
+@pytest.mark.own_process
 def test_runs_with_sensors(tmp_path):
-    in_process(record, str(tmp_path))
+    mismatches = {}, {"dropout": 0.0}, {"preset": "calibrated"}, {"preset": "calibrated"}
     plain, zero, one, again = (
-        Recording.open(tmp_path / name) for name in ("plain", "zero", "one", "again")
+        run_scenario(shortened(**keys), tmp_path / str(number)).recording
+        for number, keys in enumerate(mismatches)
     )
     # All zero: the same bits as without the sensors.
     assert all(plain[name].tobytes() == zero[name].tobytes() for name in plain.columns)
@@ -190,16 +177,12 @@ ALL_ERRORS = SensorErrors(
 )
 
 
-def readings(
-    errors: SensorErrors, count: int, truth: Any = None
-) -> tuple[NDArray[Any], NDArray[Any]]:
+def readings(errors: SensorErrors, count: int) -> tuple[NDArray[Any], NDArray[Any]]:
     """Truth and readings of some ticks, each (count,) records of `TRUTH`."""
     sensors, source = Sensors(errors), np.random.default_rng(5)
     rows = np.zeros((2, count), TRUTH)
     for tick in range(count):
         sensors.truth_values[:] = source.normal(0.0, 0.3, sensors.truth_values.size)
-        if truth is not None:
-            sensors.truth["qpos"] = truth
         sensors.update()
         rows[0, tick] = sensors.truth
         rows[1, tick] = sensors.reading_values[: TRUTH.itemsize // 8].view(TRUTH)[0]
@@ -240,10 +223,8 @@ def test_the_model_knows_where_the_hand_is_if_the_encoders_are_right():
     plant, sensors = Plant(), Sensors(SensorErrors(hand_pose_source="model"))
     plant.inputs["ctrl"][:7] += 0.2
     plant.step(200)
-    sensors.truth["qpos"], sensors.truth["qvel"] = (
-        plant.outputs["qpos"][:7],
-        plant.outputs["qvel"][:7],
-    )
+    for name in ("qpos", "qvel"):
+        sensors.truth[name] = plant.outputs[name][:7]
     sensors.update()
     for name in ("hand_xpos", "hand_xquat", "jac"):
         np.testing.assert_allclose(sensors.readings[name], plant.outputs[name], atol=1e-12)

@@ -195,17 +195,14 @@ ARM = {
 
 def test_the_arms_parameters_change_what_they_say_and_nothing_else():
     plain, changed = (Plant(PlantParameters(**given)).model for given in ({}, ARM))
-    np.testing.assert_array_equal(changed.dof_frictionloss[:8], [0.5] * 7 + [0.0])
-    np.testing.assert_array_equal(changed.dof_damping[:7], plain.dof_damping[:7] + 2.0)
-    np.testing.assert_array_equal(
-        changed.actuator_gainprm[:7, 0], 0.9 * plain.actuator_gainprm[:7, 0]
-    )
-    np.testing.assert_array_equal(
-        changed.actuator_forcerange[:7], 0.8 * plain.actuator_forcerange[:7]
-    )
-    np.testing.assert_array_equal(changed.actuator_gainprm[7], plain.actuator_gainprm[7])
+    equal = np.testing.assert_array_equal
+    equal(changed.dof_frictionloss[:8], [0.5] * 7 + [0.0])
+    equal(changed.dof_damping[:7], plain.dof_damping[:7] + 2.0)
+    equal(changed.actuator_gainprm[:7, 0], 0.9 * plain.actuator_gainprm[:7, 0])
+    equal(changed.actuator_forcerange[:7], 0.8 * plain.actuator_forcerange[:7])
+    equal(changed.actuator_gainprm[7], plain.actuator_gainprm[7])
     for name in ("link1", "link7"):
         assert changed.body(name).mass == 1.2 * plain.body(name).mass
-        np.testing.assert_array_equal(changed.body(name).inertia, 1.2 * plain.body(name).inertia)
+        equal(changed.body(name).inertia, 1.2 * plain.body(name).inertia)
     assert changed.body("hand").mass == plain.body("hand").mass + 2.0
     assert changed.body("obj").mass == plain.body("obj").mass

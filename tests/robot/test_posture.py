@@ -1,14 +1,12 @@
 """Postures in a table: the arm takes the commanded joint positions, not only the hand's pose."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fmu_support import in_process
 from forked import command
-from panda_cosim import Recording, Scenario, Trajectory, load_scenario, run_scenario
+from panda_cosim import Scenario, Trajectory, run_scenario
 from panda_cosim.assets.franka import HOME_Q, HOME_XPOS, HOME_XQUAT
 from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel
@@ -47,14 +45,9 @@ def scenario(**keys: object) -> Scenario:
     return Scenario(name="posture", table=TrajectoryTable(rows()), **values)  # type: ignore[arg-type]
 
 
-def record(folder: str) -> None:
-    write_scenario(scenario(), Path(folder) / "scenario")
-    run_scenario(load_scenario(Path(folder) / "scenario"), f"{folder}/run")
-
-
+@pytest.mark.own_process
 def test_the_arm_takes_the_postures_between_the_rows_too(tmp_path):
-    in_process(record, str(tmp_path))
-    recording = Recording.open(tmp_path / "run")
+    recording = run_scenario(scenario(), tmp_path / "run").recording
     plan = np.array([planned(time) for time in recording["time"]])
     assert np.abs(recording["controller.qpos_ref"] - plan).max() < FOLLOWED
     assert np.abs(plan[-1] - HOME_Q)[2] > 0.5  # rad: far from where the pull to home leads
@@ -67,8 +60,8 @@ def test_a_followed_posture_leads_through_singularities(joints):
     """The hand's command alone is damped there; what the posture asks for moves it, too."""
     end = np.array([joints.get(joint + 1, q) for joint, q in enumerate(HOME_Q)])
     postures = np.array([row.posture for row in rows(end)])
-    jacobian = min(np.linalg.svd(jac(q), compute_uv=False)[-1] for q in postures)
-    assert jacobian < Gains().singular_value
+    smallest = min(np.linalg.svd(ArmModel().hand(q, np.zeros(7)).jacobian)[1][-1] for q in postures)
+    assert smallest < Gains().singular_value
     table, start = TrajectoryTable(rows(end)), StartPose(HOME_XPOS, HOME_XQUAT, HOME_XPOS)
     trajectory = Trajectory.from_table(table, start, interpolation="spline")
     ticks = 0.001 * np.arange(int(DURATION / 0.001))
@@ -77,22 +70,12 @@ def test_a_followed_posture_leads_through_singularities(joints):
     assert np.abs(reference.position - plan).max() < THROUGH
 
 
-def jac(q: np.ndarray) -> np.ndarray:
-    return ArmModel().hand(q, np.zeros(7)).jacobian.copy()
-
-
 @pytest.mark.parametrize("interpolation", ["linear", "quintic", "spline"])
 def test_postures_go_from_row_to_row_and_their_rates_are_the_derivative(interpolation):
     random, step = np.random.default_rng(1), 1e-6  # s
     postures, times = random.normal(size=(6, 7)), np.arange(6.0)
-    trajectory = Trajectory(
-        times,
-        np.zeros((6, 3)),
-        np.tile([1.0, 0, 0, 0], (6, 1)),
-        np.zeros(6),
-        interpolation,
-        postures,
-    )
+    hand = np.zeros((6, 3)), np.tile([1.0, 0, 0, 0], (6, 1))
+    trajectory = Trajectory(times, *hand, np.zeros(6), interpolation, postures)
     np.testing.assert_allclose(trajectory.sample(times)[:, 14:21], postures, atol=1e-12)
     t = np.linspace(-0.3, 5.3, 401)
     before, now, after = (trajectory.sample(t + shift)[:, 14:] for shift in (-step, 0.0, step))
@@ -101,7 +84,7 @@ def test_postures_go_from_row_to_row_and_their_rates_are_the_derivative(interpol
     np.testing.assert_allclose(now[:, 7:], np.broadcast_to(expected, rates.shape), atol=1e-4)
 
 
-def test_a_table_reads_back_as_it_was_written(tmp_path):
+def test_a_table_reads_back_as_it_was_written_and_slower_rows_keep_their_postures(tmp_path):
     write_scenario(scenario(), tmp_path / "new")
     assert Scenario.read(tmp_path / "new").table == scenario().table
     command("inputs", tmp_path / "new", tmp_path / "inputs.csv")
@@ -109,6 +92,11 @@ def test_a_table_reads_back_as_it_was_written(tmp_path):
     assert header.split(",")[15:] == COMMANDED
     numbers = [float(text) for text in first.split(",")]
     np.testing.assert_allclose(numbers[15:], [*HOME_Q, *[0.0] * 7], atol=1e-12)
+    slower = ("--keep-times", "--share", "0.4", "--out", tmp_path / "slow", tmp_path / "new")
+    command("retime", *slower, code=0)
+    slow = Scenario.read(tmp_path / "slow").table
+    assert slow.rows[-1].time > DURATION
+    assert [row.posture for row in slow.rows] == [row.posture for row in scenario().table.rows]
 
 
 HEAD = "time,frame,x,y,z,grip,q1,q2,q3,q4,q5,q6,q7\n"
@@ -117,10 +105,7 @@ HEAD = "time,frame,x,y,z,grip,q1,q2,q3,q4,q5,q6,q7\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            HEAD.replace(",q7", "") + "0,home,0,0,0,0,0,0,0,-1,0,1",
-            "posture: value .*; must be 7 numbers",
-        ),
+        (HEAD.replace(",q7", "") + "0,home,0,0,0,0,0,0,0,-1,0,1", "posture: .*; must be 7 numbers"),
         (HEAD + "0,home,0,0,0,0,0,0,0,-1,0,1,", "line 2: column q7: value ''; must be a number"),
         (HEAD + "0,home,0,0,0,0,0,0,0,0.5,0,1,0", "line 2: column q4: value 0.5; must be a .*rad"),
     ],
@@ -142,13 +127,3 @@ def test_what_postures_do_not_go_with_is_refused(tmp_path):
     refused = command("retime", "--out", tmp_path / "fast", tmp_path / "new", code=2)
     assert "q1 to q7" in refused.stderr
     assert not (tmp_path / "fast").exists()
-
-
-def test_slower_rows_keep_their_postures(tmp_path):
-    write_scenario(scenario(), tmp_path / "new")
-    command(
-        "retime", "--keep-times", "--share", "0.4", "--out", tmp_path / "slow", tmp_path / "new"
-    )
-    slow = Scenario.read(tmp_path / "slow").table
-    assert slow.rows[-1].time > DURATION
-    assert [row.posture for row in slow.rows] == [row.posture for row in scenario().table.rows]

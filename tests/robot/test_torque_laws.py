@@ -17,10 +17,10 @@ from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.presets import OF_IMPEDANCE, OF_SERVOS, preset
 from panda_cosim.run.prepare import prepare
 from panda_cosim.task.rotations import Array
+from parts_jobs import write_arm
 
 LAWS = '''
 import numpy as np
-from clipped import clipped
 
 HOME = np.array([0, 0, 0, -1.57079, 0, 1.57079, -0.7853])
 
@@ -30,7 +30,7 @@ class OSC:
     def update(self, time, pos_cmd, hand_xpos, jac, qpos, qvel, qfrc_bias, grip_cmd):
         force = self.stiffness * (pos_cmd - hand_xpos) - 40 * (jac[:3] @ qvel)
         torque = jac[:3].T @ force + 200 * (HOME - qpos) - 30 * qvel + qfrc_bias
-        return np.hstack((clipped(torque), 255 * grip_cmd / 0.08))
+        return np.hstack((np.clip(torque, -80, 80), 255 * grip_cmd / 0.08))
 
 class Angles:
     """Resolved rate: servo targets."""
@@ -44,9 +44,6 @@ MOTORS = ("--set", "scene=motors")
 @pytest.fixture
 def laws(tmp_path):
     (tmp_path / "laws.py").write_text(LAWS)
-    (tmp_path / "clipped.py").write_text(
-        "import numpy as np\ndef clipped(torque): return np.clip(torque, -80, 80)\n"
-    )
     write_files(tmp_path / "hold", "duration = 0.2\n")
     return tmp_path
 
@@ -242,11 +239,7 @@ def test_what_does_not_fit_is_refused(values, words):
 
 
 def test_mismatch_needs_a_plant_that_extends_ours(tmp_path):
-    (tmp_path / "arm.xml").write_text(
-        "<mujoco><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>"
-        "<actuator><motor joint='j'/></actuator></mujoco>"
-    )
     model = '[fmus]\nplant = "arm.xml"\n[mismatch]\npreset = "calibrated"\n'
-    write_files(tmp_path, f"duration = 0.1\n{model}")
+    write_files(write_arm(tmp_path), f"duration = 0.1\n{model}")
     done = command("check", tmp_path, code=2)
     assert "mismatch: only valid with the project's plant, or one that extends it" in done.stdout

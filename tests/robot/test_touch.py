@@ -43,11 +43,8 @@ def test_the_observer_finds_the_torques_of_a_push_while_the_arm_moves(link):
 
 
 def test_the_observer_follows_with_its_time_constant():
-    controller, torque = (
-        Controller(Gains(observer=True, observer_gain=250.0), 0.002),
-        np.arange(7.0),
-    )
-    plant, _ = started()
+    controller = Controller(Gains(observer=True, observer_gain=250.0), 0.002)
+    plant, torque = started()[0], np.arange(7.0)
     hold(plant, controller)
     controller.inputs["qvel"], controller.inputs["qfrc_bias"] = 0.0, 0.0
     controller.inputs["actuator_force"][:7] = -torque  # the arm rests although its servos push

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -23,7 +22,6 @@ from panda_cosim import Options, Recording, Session, SimulationError, load_scena
 from panda_cosim.run import prepare as preparation
 from panda_cosim.run.client import addressed
 from panda_cosim.run.replay import replay
-from panda_cosim.task.writer import write_scenario
 from refusals import refused
 
 SLAVES = Path(__file__).parents[1] / "slaves"
@@ -250,12 +248,6 @@ def test_a_check_starts_nothing_and_finds_what_is_not_there(tmp_path):
 def test_a_client_is_checked_when_it_is_read(tmp_path, text, problem):
     folder = write(tmp_path / "fill", client=text)
     assert problem in refused(load_scenario, folder)
-
-
-def test_a_client_is_written_as_it_was_read(tmp_path):
-    scenario = load_scenario(write(tmp_path / "fill", client=MISSING))
-    write_scenario(replace(scenario, folder=None), tmp_path / "again")
-    assert load_scenario(tmp_path / "again").client == scenario.client
 
 
 @pytest.mark.own_process

@@ -182,26 +182,20 @@ def test_the_arms_run_is_drawn_with_its_own_model_and_its_scenario_checked(tmp_p
     assert "its FMU holds no model" in command("render", run, code=2).stderr
 
 
-def damaged_model(path: Path) -> None:
-    """Write a model that MuJoCo loads, but whose shape's kind is beyond its table of functions."""
-    two = '<body><freejoint/><geom size="1"/></body>' * 2
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{two}</worldbody></mujoco>")
-    model.geom_type[:] = 2**24
-    mujoco.mj_saveModel(model, str(path))
-
-
 def test_a_damaged_model_is_one_line_at_every_door(tmp_path):
     good, run = tmp_path / "good", tmp_path / "run"
     good.mkdir()
-    (good / "plant.xml").write_text(
-        '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
-    )
+    two = '<body><freejoint/><geom size="1"/></body>' * 2
+    (good / "plant.xml").write_text(f"<mujoco><worldbody>{two}</worldbody></mujoco>")
     (good / "scenario.toml").write_text('duration = 0.02\n[fmus]\nplant = "plant.xml"\n')
     done = command("run", good, "--no-video", "--out", run, code=0)
     bad = tmp_path / "bad"
     shutil.copytree(good, bad)
     (bad / "scenario.toml").write_text('duration = 0.02\n[fmus]\nplant = "plant.mjb"\n')
-    damaged_model(bad / "plant.mjb")
+    # MuJoCo loads this model, but its shape's kind is beyond the table of functions.
+    damaged = mujoco.MjModel.from_xml_path(str(good / "plant.xml"))
+    damaged.geom_type[:] = 2**24
+    mujoco.mj_saveModel(damaged, str(bad / "plant.mjb"))
     shutil.copy(bad / "plant.mjb", run / "scenario")
     model = bad / "plant.mjb"
     for arguments in (["view", run], ["check", bad], ["mjcf2fmu", model, "--out", tmp_path / "no"]):

@@ -276,13 +276,6 @@ from panda_cosim.cli import main
 libraries.PREBUILT = Path(sys.argv.pop())  # there are none
 main()
 """
-SLAVE = """
-from pythonfmu import Fmi2Slave
-
-class Slave(Fmi2Slave):
-    def do_step(self, time, step):
-        return True
-"""
 
 
 # A signal comes while code runs whose exceptions nobody sees, as in a callback of a C library.
@@ -312,17 +305,16 @@ def test_a_signal_whose_exception_nobody_sees_ends_the_command(number):
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 @pytest.mark.parametrize(("number", "what"), [(signal.SIGINT, "own"), (signal.SIGTERM, "slave")])
 def test_a_first_build_that_is_interrupted_ends_its_compilers(tmp_path, number, what):
-    compiler, slave, cache = tmp_path / "bin" / "cc", tmp_path / "slave.py", tmp_path / "cache"
+    compiler, cache = tmp_path / "bin" / "cc", tmp_path / "cache"
     compiler.parent.mkdir()
     compiler.write_text(COMPILER)
     compiler.chmod(0o755)
-    slave.write_text(SLAVE)
     variables = {
         "PATH": f"{compiler.parent}{os.pathsep}{os.environ['PATH']}",
         "PANDA_COSIM_CACHE": str(cache),
         "INTERRUPT": number.name.removeprefix("SIG"),
     }
-    more = ["--slave", slave] if what == "slave" else []
+    more = ["--slave", Path(__file__).parents[1] / "slaves" / "decay.py"] if what == "slave" else []
     build = ["build", "--out", tmp_path / "out", *more, tmp_path / "none"]
     done = ran(
         [sys.executable, "-P", "-c", BUILD, *build], code=128 + number, env=os.environ | variables
