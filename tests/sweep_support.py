@@ -10,8 +10,7 @@ import pyarrow as pa
 from fault_support import write_files
 from panda_cosim.study.sweep.definition import Sweep
 from panda_cosim.study.sweep.design import Design
-from panda_cosim.study.sweep.packed import load_scenarios
-from panda_cosim.study.sweep.row import Job, command
+from panda_cosim.study.sweep.row import command
 from panda_cosim.study.sweep.store import Store, schema
 
 SETTINGS = """\
@@ -52,11 +51,6 @@ def write_sweep(folder: Path, samples: int, more: str = "") -> Path:
         encoding="utf-8",
     )
     return path
-
-
-def job(sweep: Sweep, fmus: dict[str, bytes], **options: Any) -> Job:
-    """Return what the rows of a sweep share."""
-    return Job(load_scenarios(sweep), fmus, **options)
 
 
 def rows_of(folder: Path) -> list[dict[str, Any]]:

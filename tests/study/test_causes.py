@@ -1,6 +1,7 @@
 """A red run names what it was made with differently, before its signals."""
 
 import json
+import re
 import shutil
 from html import unescape
 
@@ -11,24 +12,21 @@ from forked import command
 from panda_cosim.study.compare.causes import changed, elements, named
 from panda_cosim.task.scenario import load_scenario
 
-BALL = """
-<mujoco model="ball">
+BALL = """<mujoco>
   <option timestep="0.001"/>
   <worldbody>
     <geom name="floor" type="plane" size="1 1 0.1" friction="0.8 0.005 0.0001"/>
     <body name="ball" pos="0 0 0.3">
-      <freejoint name="free"/>
-      <geom name="shell" type="sphere" size="0.05" mass="0.1"/>
+      <freejoint/>
+      <geom name="shell" size="0.05" mass="0.1"/>
     </body>
-    <body name="arm" pos="0.5 0 0.5">
+    <body pos="0.5 0 0.5">
       <joint name="hinge" type="hinge" axis="0 1 0" damping="0.1"/>
-      <geom name="rod" type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.2"/>
+      <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.2"/>
     </body>
   </worldbody>
   <actuator><position name="servo" joint="hinge" kp="5"/></actuator>
-</mujoco>
-"""
-SCENARIO = 'purpose = "A ball falls"\nduration = 0.2\n[fmus]\nball = "ball.xml"\n'
+</mujoco>"""
 
 
 def cause(before: str, now: str, **settings: tuple[str, str]) -> str:
@@ -48,7 +46,6 @@ def cause(before: str, now: str, **settings: tuple[str, str]) -> str:
         ('friction="0.8', 'friction="0.4', "ball: geom floor friction[1] 0.8 -> 0.4"),
         ('kp="5"', 'kp="4"', "ball: actuator servo gainprm[1] 5 -> 4"),
         ('damping="0.1"', 'damping="0.2"', "ball: joint hinge damping 0.1 -> 0.2"),
-        ('size="0.05"', 'size="0.06"', "ball: geom shell size[1] 0.05 -> 0.06 m"),
         ('pos="0 0 0.3"', 'pos="0 0 0.31"', "ball: body ball pos[3] 0.3 -> 0.31 m"),
         ('"0.001"/>', '"0.001" integrator="RK4"/>', "ball: option integrator 0 -> 1"),
         ('axis="0 1 0"', 'axis="1 0 0"', "ball: other fields of its compiled model"),
@@ -68,9 +65,8 @@ def test_parameters_come_first_and_versions_before_code():
         versions=({"numpy": "2.4"}, {"numpy": "2.5"}),
         parameters=({"plant": {"block_mass": 0.18}}, {"plant": {"block_mass": 0.21}}),
     )  # fmt: skip
-    words = ["plant.block_mass 0.18 -> 0.21 kg", "ball: body ball mass", "numpy 2.4 -> 2.5"]
-    places = [told.index(word) for word in words]
-    assert places == sorted(places)
+    order = "plant.block_mass 0.18 -> 0.21 kg.*ball: body ball mass.*numpy 2.4 -> 2.5"
+    assert re.search(order, told)
     assert "FMU 'ball'" not in told  # its model says what it is
     law = cause(BALL, BALL, fmus=({"law": {"sha256": "a"}}, {"law": {"sha256": "b"}}))
     assert law == "the code or files of FMU 'law'"
@@ -92,7 +88,7 @@ def suite(tmp_path_factory):
     folder = tmp_path_factory.mktemp("suite")
     (folder / "ball").mkdir()
     (folder / "ball" / "ball.xml").write_text(BALL)
-    (folder / "ball" / "scenario.toml").write_text(SCENARIO)
+    (folder / "ball" / "scenario.toml").write_text('duration = 0.2\n[fmus]\nball = "ball.xml"\n')
     shutil.copytree(load_scenario("push").folder, folder / "push")
     regress = ("regress", "--scenarios", folder)
     command(*regress, "ball", "--update", "--yes", code=0)

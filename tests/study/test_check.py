@@ -1,18 +1,15 @@
 """A new scenario runs at the first try, and what is wrong with one is explained."""
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from fault_support import write_files
-from panda_cosim import InputError, Run, Scenario, load_scenario, run_scenario, shipped_scenarios
+from panda_cosim import Run, Scenario, load_scenario, run_scenario, shipped_scenarios
 from panda_cosim.assets.franka import CTRL_OPEN, FINGER_SPEED_MAX, OPENING_MAX
 from panda_cosim.cli.app import app
 from panda_cosim.result.judging.advice import advise, weakest_grip
@@ -20,15 +17,8 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from panda_cosim.study.sweep.definition import load_sweep
 from panda_cosim.study.sweep.engine import check_sweep
-from panda_cosim.task.trajectory import StartPose
 from panda_cosim.task.writer import make_scenario, write_scenario
-
-
-@pytest.fixture
-def folder(tmp_path):
-    made = tmp_path / "mine" / "lift"
-    make_scenario(made)
-    return made
+from refusals import refused
 
 
 def test_a_new_scenario_with_parts_of_its_own_runs_and_is_swept(tmp_path):
@@ -62,26 +52,17 @@ def test_what_cannot_be_copied_is_refused(tmp_path):
         (("--from", "pusch"), "did you mean 'push'"),
         (("--from", "push", "--law"), "--from: cannot be combined with"),
     ):
-        refused = CliRunner().invoke(app, ["new", str(tmp_path / "copy"), *options])
-        assert refused.exit_code == 2
-        assert words in refused.output
+        done = CliRunner().invoke(app, ["new", str(tmp_path / "copy"), *options])
+        assert (done.exit_code, words in done.output) == (2, True)
         assert not (tmp_path / "copy").exists()
 
 
 @pytest.mark.parametrize("name", ["-lift", "li/ft\n", "..", "x" * 201])
 def test_a_bad_name_is_refused(tmp_path, name):
-    with pytest.raises(InputError, match="scenario name"):
-        make_scenario(tmp_path / name)
+    assert "scenario name" in refused(make_scenario, tmp_path / name)
 
 
-def test_nothing_is_written_over(folder):
-    (folder / "trajectory.csv").unlink()
-    with pytest.raises(InputError, match="already exists"):
-        make_scenario(folder)
-    assert not (folder / "trajectory.csv").exists()
-
-
-def test_a_new_scenario_can_run_at_the_first_try(tmp_path):
+def test_a_new_scenario_can_run_at_the_first_try_and_is_not_written_over(tmp_path):
     runner = CliRunner()
     made = runner.invoke(app, ["new", str(tmp_path / "lift")])
     assert made.exit_code == 0
@@ -90,23 +71,23 @@ def test_a_new_scenario_can_run_at_the_first_try(tmp_path):
     assert checked.exit_code == 0
     order, lift = (" ".join(line.split()) for line in checked.output.splitlines())
     assert order.startswith("good FMUs are stepped in the order controller, plant; a step late: ")
-    assert lift == (
-        "good lift: 5 rows, 3.4 s; the grip holds 31.6 N by friction, 1.89 N needed; it can run"
-    )
+    holds = "the grip holds 31.6 N by friction, 1.89 N needed"
+    assert lift == f"good lift: 5 rows, 3.4 s; {holds}; it can run"
     assert runner.invoke(app, ["check", str(tmp_path / "lif")]).exit_code == 2
+    (tmp_path / "lift" / "trajectory.csv").unlink()
+    again = runner.invoke(app, ["new", str(tmp_path / "lift")])
+    assert (again.exit_code, "already exists" in again.output) == (2, True)
+    assert not (tmp_path / "lift" / "trajectory.csv").exists()
 
 
-EDITS = [
-    # file, what is there, what is put there, level, what is told
+EDITS = [  # file, what is there, what is put there, level, what is told
     ("scenario.toml", "block_mass", "block_mas", "wrong", "did you mean 'block_mass'"),
-    ("scenario.toml", "block_mass = 0.18", "block_mass = 18", "wrong", "plant.block_mass"),
     ("scenario.toml", "0.4, -0.2", "0.65, 0.09", "wrong", "would start"),
     ("scenario.toml", "duration = 3.4", "duration = 3.4005", "wrong", "whole number of ticks"),
     ("scenario.toml", "duration = 3.4", "duration =", "wrong", "scenario.toml"),
     ("scenario.toml", "duration = 3.4", "duration = 2.5", "hint", "it is never reached"),
     ("scenario.toml", "Picks the block up and holds it", "", "hint", "purpose is empty"),
     ("trajectory.csv", "0.08\n1.2", "0,08\n1.2", "wrong", "line 2: 7 values; must be 6"),
-    ("trajectory.csv", "1.7,target", "1.1,target", "wrong", "time: value 1.1; must be"),
     ("trajectory.csv", "1.7,target,0.0", "1.7,target,1.0", "hint", "within the arm's reach"),
     ("trajectory.csv", "0.085,0.0\n2", "-0.085,0.0\n2", "hint", "the path must avoid this"),
     ("trajectory.csv", "1.2,target", "0.1,target", "hint", "of joint"),
@@ -114,11 +95,12 @@ EDITS = [
 
 
 @pytest.mark.parametrize(("file", "before", "after", "level", "told"), EDITS)
-def test_what_is_wrong_is_explained(folder, file, before, after, level, told):
-    path = folder / file
+def test_what_is_wrong_is_explained(tmp_path, file, before, after, level, told):
+    make_scenario(tmp_path / "lift")
+    path = tmp_path / "lift" / file
     assert before in path.read_text()
     path.write_text(path.read_text().replace(before, after))
-    diagnostics = check_folder(folder)
+    diagnostics = check_folder(path.parent)
     assert any(f.level == level and told in f.text for f in diagnostics), diagnostics
     assert all("\n" not in f.text for f in diagnostics)
 
@@ -130,9 +112,6 @@ def test_nothing_is_wrong_with_the_shipped_ones(name):
     order, *rest = sorted(diagnostics, key=lambda f: f.level)
     assert order.text.startswith("FMUs are stepped in the order controller, plant")
     assert {f.level for f in rest} == {"hint"}, diagnostics
-
-
-# What `check` finds out without FMUs: collisions, the grip, the block's symmetry.
 
 
 FOLDER = shipped_scenarios()["pick_and_place"]
@@ -206,9 +185,9 @@ def test_a_push_is_the_cause_of_the_torque_rate_that_answers_it_in_check_and_run
 
 
 def test_check_advises_no_more_time_for_what_is_out_of_reach():
-    texts = [each.text for each in check_folder(shipped_scenarios()["near_singular"])]
-    assert any("more time does not help" in text for text in texts)
-    assert not any("retime" in text for text in texts)
+    told = str(check_folder(shipped_scenarios()["near_singular"]))
+    assert "more time does not help" in told
+    assert "retime" not in told
 
 
 def test_check_rehearses_with_the_errors_of_the_sensors():
@@ -229,9 +208,8 @@ def test_check_rehearses_with_the_errors_of_the_sensors():
 
 def test_a_hand_that_moves_on_before_the_fingers_let_go_is_told():
     strong = {"controller.grip_force": 20.0}
-    texts = [each.text for each in check_folder(FOLDER, strong) if "the hand moves on" in each.text]
-    assert len(texts) == 1
-    assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", texts[0])
+    (told,) = (f.text for f in check_folder(FOLDER, strong) if "the hand moves on" in f.text)
+    assert re.search(r"row 7: .* still presses with 1.8\d* N; it must stay 0.04 s longer", told)
     # With that much more dwell it does not.
     scenario = load_scenario("pick_and_place")
     rows = scenario.table.rows
@@ -274,23 +252,6 @@ def test_fingers_that_are_too_fast_need_a_gradual_command():
     (line,) = (line for line in advice() if "finger speed" in line)
     rate = 0.001 * FINGER_SPEED_MAX / (OPENING_MAX / 2) * CTRL_OPEN  # a ms
     assert f"; move the gripper's command gradually, by at most {rate:.2f} (of 255) a ms" in line
-
-
-def test_check_tells_which_servo_has_no_torque_left():
-    folder = shipped_scenarios()["worn_joints"]
-    assert check_folder(folder)[-1].level == "good"
-    weak = check_folder(folder, {"mismatch.torque_limit_scale": 0.3})
-    told = [finding.text for finding in weak if "torque limit of" in finding.text]
-    assert len(told) == 1
-    assert re.match(r"trajectory.csv: row 2: the torque limit of joint \d first limits", told[0])
-    assert "problems above" in weak[-1].text
-
-
-@given(st.floats(-math.pi, math.pi))
-def test_the_hand_turns_by_45_deg_at_most(yaw):
-    turn = StartPose((0, 0, 0), (1, 0, 0, 0), (0, 0, 0), yaw).grasp_yaw
-    assert abs(turn) <= math.pi / 4 + 1e-12
-    assert np.isclose(math.sin(4 * turn), math.sin(4 * yaw), atol=1e-9)
 
 
 @pytest.mark.parametrize("yaw", [2.8, -2.4])

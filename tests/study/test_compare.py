@@ -1,5 +1,6 @@
 """Comparison with a reference recording: differences that matter are reported, others are not."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.study.compare.against_reference import Comparison, compare_with_reference
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.compare.tubes import tube, widths
 from panda_cosim.study.compare.wording import multiple
 from panda_cosim.task.tolerances import OURS, Tolerances, of_ours
+from refusals import refused
 from regress_support import METADATA, NO_SUCCESS, ROWS, SUMMARY, columns, record
 
 DQ = OURS["controller"]["dq"]["rad"]  # rad, half-width of its tube
@@ -38,11 +39,11 @@ def reference(tmp_path):
 def compared(tmp_path, reference):
     """Return a function that records values and compares them with the reference."""
 
-    def run(values: dict[str, Any], summary: Any = SUMMARY, **options: Any) -> Comparison:
-        exact = options.pop("exact", False)
-        tolerances = options.pop("tolerances", TOLERANCES)
-        place = Path(mkdtemp(dir=tmp_path))
-        recording = record(place, values, **options)
+    def run(
+        values: dict[str, Any], summary: Any = SUMMARY, tolerances: Tolerances = TOLERANCES,
+        *, exact: bool = False, **options: Any,
+    ) -> Comparison:  # fmt: skip
+        recording = record(Path(mkdtemp(dir=tmp_path)), values, **options)
         return compare_with_reference(recording, summary, reference, tolerances, exact=exact)
 
     return run
@@ -56,11 +57,7 @@ def test_the_same_run_is_as_its_reference_bit_for_bit_whoever_ran_it(compared):
     who = {"fmus": {"plant": {"guid": "{2}"}}, "parameters": {}, "versions": {"numpy": "2"}}
     comparison = compared(columns(), exact=True, metadata=who)
     assert comparison.ok, texts(comparison)
-    assert {d.name for d in comparison.deviations} == {
-        "plant.qpos[1]", "plant.contact_force", "plant.jac[1,1]", "controller.dq[1]",
-        "controller.dq[2]",
-    }  # fmt: skip
-    assert all(d.share == 0.0 for d in comparison.deviations)
+    assert [d.share for d in comparison.deviations] == [0.0] * 5
 
 
 @pytest.mark.parametrize(("share", "ok"), [(0.5, True), (0.9, True), (1.2, False), (40.0, False)])
@@ -70,14 +67,12 @@ def test_a_value_may_differ_by_its_tolerance(compared, share, ok):
     comparison = compared(values)
     assert comparison.ok is ok
     worst = comparison.worst
-    assert worst is not None
     assert worst.name == "controller.dq[1]"
     assert worst.share == pytest.approx(share, abs=0.06)  # the reference's rounding
     if not ok:
         assert worst.time == worst.first == pytest.approx(0.224)
         assert worst.outside == 1
-        assert "controller.dq[1] off by" in texts(comparison)
-        assert "at 0.224 s" in texts(comparison)
+        assert re.search(r"controller\.dq\[1\] off by .* at 0\.224 s", texts(comparison))
 
 
 @pytest.mark.parametrize(("ticks", "ok"), [(1, True), (2, False)])
@@ -104,8 +99,8 @@ def test_an_event_of_the_summary_may_move_by_so_many_steps(tmp_path, before, now
 
 def test_a_reference_too_coarse_for_the_tolerances_must_be_recorded_again(compared):
     assert compared(columns(), tolerances=Tolerances(scale=0.5, values=VALUES)).ok
-    with pytest.raises(InputError, match=r"plant\.qpos\[1\]: .* rounded to 5e-07 rad"):
-        compared(columns(), tolerances=Tolerances(values={**VALUES, "plant.qpos[1]": 5e-8}))
+    finer = Tolerances(values={**VALUES, "plant.qpos[1]": 5e-8})
+    assert "rounded to 5e-07 rad" in refused(compared, columns(), tolerances=finer)
 
 
 def test_a_system_that_starts_later_matches_its_reference(tmp_path):
@@ -121,15 +116,16 @@ def test_a_system_that_starts_later_matches_its_reference(tmp_path):
     assert "401 rows from 0 to 0.4 s, the reference 401 rows from 2.5 to 2.9 s" in problems[0]
 
 
-def test_a_comparison_of_no_signal_is_no_match(tmp_path, compared):
+def test_no_signal_is_no_match_and_no_reference_is_made_of_none_or_of_nan(tmp_path, compared):
     run = record(tmp_path / "now", {"time": columns()["time"]})
     problems = compared({"time": columns()["time"]}).problems
     assert problems == (
         "5 columns are missing: controller.dq, plant.contact_force, plant.jac, plant.qpos",
         "no signal was compared",
     )
-    with pytest.raises(InputError, match="the run records no signal"):
-        Reference.of(run, SUMMARY, TOLERANCES)
+    assert "the run records no signal" in refused(Reference.of, run, SUMMARY, TOLERANCES)
+    nan = record(tmp_path / "nan", put("plant.jac[1,1]", 17, np.nan)(columns()))
+    assert "not finite" in refused(Reference.of, nan, SUMMARY, TOLERANCES)
 
 
 def test_what_is_just_outside_its_tube_is_not_called_one_tolerance():
@@ -158,10 +154,7 @@ def rename(old: str, new: str | None = None) -> Change:
 
 FAULTS = [
     (put("plant.jac[1,1]", 17, np.nan), "plant.jac[1,1] is nan at 0.017 s"),
-    (
-        put("controller.dq[1]", slice(17, 20), np.inf),
-        "controller.dq[1] is inf at 0.017 s, ",
-    ),
+    (put("controller.dq[1]", slice(17, 20), np.inf), "controller.dq[1] is inf at 0.017 s, "),
     (put("time", 100, 0.1004), "all instants must be the same"),
     (put("time", -1, 0.4 + 4e-9), "to 0.400000004 s, the reference 401 rows from 0 to 0.4 s"),
     (keep(slice(ROWS // 2)), "has 200 rows from 0 to 0.199 s, the reference 401 rows"),
@@ -191,9 +184,7 @@ def test_what_has_another_unit_or_verdict_differs(compared):
 def test_one_bit_of_any_signal_is_noticed_where_it_is_asked_for(compared):
     values = columns()
     values["plant.jac[1,1]"][5] = np.nextafter(values["plant.jac[1,1]"][5], 2.0)
-    other = {"versions": {"numpy": "2"}, "platform": "y"}
-    comparison = compared(values, exact=True, metadata=other)
-    assert texts(comparison) == ("bits differ: plant.jac")
+    assert texts(compared(values, exact=True)) == "bits differ: plant.jac"
 
 
 @settings(max_examples=40, deadline=None)
@@ -212,39 +203,27 @@ def test_a_tube_holds_its_signal_moved_within_both_tolerances(values, ticks, tol
 
 def test_a_reference_comes_back_as_it_was_and_is_small(tmp_path, reference):
     for name, tolerance in widths(reference, TOLERANCES).items():
-        np.testing.assert_allclose(
-            reference[name], columns()[name], rtol=0.0, atol=0.051 * tolerance
-        )
+        assert np.abs(reference[name] - columns()[name]).max() <= 0.051 * tolerance
     assert reference.metadata["parameters"] == METADATA["parameters"]
     assert reference.summary == SUMMARY
     assert (tmp_path / "reference.parquet").stat().st_size < 6000  # bytes
 
 
-def test_no_reference_is_made_of_numbers_that_are_none(tmp_path):
-    values = put("plant.jac[1,1]", 17, np.nan)(columns())
-    with pytest.raises(InputError, match="not finite"):
-        Reference.of(record(tmp_path / "nan", values), SUMMARY, TOLERANCES)
-
-
 @pytest.mark.parametrize(
     ("section", "expected"),
-    [({"time": -1}, r"\[regression\] time: value -1; must be a number from 0 to 1 s"),
+    [({"time": -1}, "[regression] time: value -1; must be a number from 0 to 1 s"),
      ({"plant.contact_force": float("nan")}, "must be a number from 1e-15")],
 )  # fmt: skip
 def test_a_bad_section_is_refused_with_what_is_valid(section, expected):
-    with pytest.raises(InputError, match=expected):
-        Tolerances.of(section)
+    assert expected in refused(Tolerances.of, section)
 
 
 def test_a_tolerance_is_of_a_number_that_is_recorded():
-    Tolerances(values={"a.temperature": 1.0, "a.q[2]": 1.0, "a.q": 1.0}).check_names(
-        ("time", "a.temperature", "a.q[1]", "a.q[2]")
-    )
+    names = ("time", "a.temperature", "a.q[1]", "a.q[2]")
+    Tolerances(values={"a.temperature": 1.0, "a.q[2]": 1.0, "a.q": 1.0}).check_names(names)
     for name in ("a.temperatur", "a.q[3]", "time"):
-        with pytest.raises(
-            InputError, match="must be a number that is recorded: time, scale, events, a"
-        ):
-            Tolerances(values={name: 1.0}).check_names(("time", "a.temperature", "a.q[1]"))
+        told = refused(Tolerances(values={name: 1.0}).check_names, names)
+        assert "must be a number that is recorded: time, scale, events, a" in told
 
 
 @pytest.mark.parametrize("name", ["plant", "arm.inner"])

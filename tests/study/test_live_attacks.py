@@ -1,6 +1,5 @@
 """`panda-cosim live` under attack: malformed requests, floods, clients that stall."""
 
-import json
 import signal
 import socket
 import threading
@@ -14,9 +13,6 @@ from live_support import Live, asked, live, told, upgrade, viewer, wait_to_act
 from panda_cosim.result.recording import Recording
 from panda_cosim.study.live.server import COMMAND_LIMIT, OPEN_TIME, VIEWERS
 
-SET = {"do": "set", "name": "controller.kp", "value": 5}
-WRONG_FRAME = bytes((0x81, 0x82, 0, 0, 0, 0)) + b"{}"  # masked with zeros
-
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
@@ -24,7 +20,7 @@ def server(tmp_path_factory):
     with live(tmp_path_factory.mktemp("live") / "run", "--speed", "0.05") as opened:
         yield opened
         with raw(opened, b"GET / HT"), raw(opened, upgrade(opened)) as stalled:
-            stalled.sendall(500 * WRONG_FRAME)  # and reads no answer
+            stalled.sendall(500 * b"\x81\x82\0\0\0\0{}")  # masked with zeros; and reads no answer
             time.sleep(0.1)
             began = time.monotonic()
             opened.process.send_signal(signal.SIGINT)
@@ -129,7 +125,7 @@ def test_a_flood_does_not_hold_up_the_simulation(server):
         reader.start()
         began, sent = time.monotonic(), 0
         while sent < 1000 or time.monotonic() - began < 1.5:
-            opened.send(json.dumps(SET))
+            opened.send('{"do": "set", "name": "controller.kp", "value": 5}')
             sent += 1
         rows = sum(isinstance(each, bytes) for each in messages)
     reader.join(20)

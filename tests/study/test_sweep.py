@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import kstest, norm
 
 from fault_support import write_files
-from panda_cosim import InputError, Sweep
+from panda_cosim import Sweep
 from panda_cosim.study.sweep.definition import (
     load_sweep,
     read_distribution,
@@ -19,16 +19,15 @@ from panda_cosim.study.sweep.design import Design, keys_without_effect
 from panda_cosim.study.sweep.engine import check_sweep
 from panda_cosim.study.sweep.packed import load_scenarios
 from refusals import refused
-from sweep_support import short_scenario
+from sweep_support import MASS, short_scenario
 
-MASS = "plant.block_mass"
-UNIFORM = {MASS: {"uniform": [0.05, 0.5]}}
 PUSH = 'scenario = "push"\n'
 DURATION = f'{PUSH}[vary."duration"]\n'
 
 
 def made(**keys: Any) -> Sweep:
-    return Sweep(**{"scenario": ("pick_and_place",), "vary": UNIFORM, "samples": 8, **keys})
+    vary = {MASS: {"uniform": [0.05, 0.5]}}
+    return Sweep(**{"scenario": ("pick_and_place",), "vary": vary, "samples": 8, **keys})
 
 
 @pytest.mark.parametrize(
@@ -37,12 +36,9 @@ def made(**keys: Any) -> Sweep:
         ("samples = 8", "key scenario is missing"),
         (f"{PUSH}sampels = 8", "'sampels' is unknown; .*did you mean 'samples'"),
         (f"{PUSH}samples = 8", "vary: sections required"),
-        (f"{PUSH}samples = 8.5", "samples: value 8.5; must be a whole number"),
         (f'{PUSH}design = "sobl"', "design: value 'sobl'; must be one of .*'sobol'"),
-        (f'{PUSH}keep = "best"', "keep: value 'best'; must be one of none, failures"),
         (f'{PUSH}design = "list"', "file: required with"),
         (f"{PUSH}[vary.plant.block_mass]\nuniform = [0, 1]", "needs quotes"),
-        (f"{DURATION}unifrom = [0, 1]", "'unifrom' is unknown"),
         (f"{DURATION}uniform = [1, 0]", "low below high"),
         (f"{DURATION}normal = [1, 0]", "deviation., that above 0"),
         (f"{DURATION}log-uniform = [0, 1]", "low above 0"),
@@ -71,8 +67,7 @@ def test_what_is_wrong_in_a_definition_is_reported_in_one_line(text, message, tm
     ],
 )
 def test_keys_that_do_not_go_together_are_refused(keys, message):
-    with pytest.raises(InputError, match=message):
-        made(**keys)
+    assert message in refused(made, **keys)
 
 
 @pytest.mark.parametrize(
@@ -89,9 +84,7 @@ def test_keys_that_do_not_go_together_are_refused(keys, message):
     ],
 )
 def test_keys_and_ends_are_checked_before_anything_runs(key, low, message):
-    sweep = made(vary={key: {"uniform": [low, 2.0]}})
-    with pytest.raises(InputError, match=message):
-        check_sweep(sweep)
+    assert re.search(message, refused(check_sweep, made(vary={key: {"uniform": [low, 2.0]}})))
 
 
 @pytest.mark.parametrize(
@@ -104,8 +97,8 @@ def test_keys_and_ends_are_checked_before_anything_runs(key, low, message):
 )
 def test_what_is_wrong_in_a_list_is_told_with_its_line(text, message, tmp_path):
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=message):
-        Design(Sweep(scenario=("push",), design="list", file=tmp_path / "list.csv"))  # type: ignore[arg-type]
+    sweep = Sweep(scenario=("push",), design="list", file=tmp_path / "list.csv")  # type: ignore[arg-type]
+    assert re.search(message, refused(Design, sweep))
 
 
 @pytest.mark.parametrize("design", ["random", "latin-hypercube", "sobol"])
@@ -126,8 +119,7 @@ def test_samples_have_their_distribution(design, given, cumulative):
 def test_a_normal_distribution_is_cut_off_at_its_limits():
     cut = read_distribution({"normal": [0.0, 1.0], "limits": [-0.5, 2.0]})
     drawn = np.asarray(cut.quantiles(np.linspace(0.0, 1.0, 1001)))
-    assert drawn.min() == -0.5
-    assert drawn.max() == 2.0
+    assert (drawn.min(), drawn.max()) == (-0.5, 2.0)
     middle = norm.ppf((norm.cdf(-0.5) + norm.cdf(2.0)) / 2)
     assert drawn[500] == pytest.approx(middle, abs=1e-12)
 
@@ -146,10 +138,8 @@ def test_a_list_is_read_from_csv_beside_the_definition(tmp_path):
     path = tmp_path / "sweep.toml"
     path.write_text('scenario = "push"\ndesign = "list"\nfile = "rows.csv"\n')
     design = Design(load_sweep(path))
-    assert [design.values(i) for i in range(2)] == [
-        {MASS: 0.1, "scene": "tabletop"},
-        {MASS: 0.2, "scene": "tutorial"},
-    ]
+    expected = {MASS: 0.1, "scene": "tabletop"}, {MASS: 0.2, "scene": "tutorial"}
+    assert (design.values(0), design.values(1)) == expected
 
 
 @pytest.mark.parametrize("design", ["random", "sobol"])
@@ -167,8 +157,8 @@ def test_more_samples_leave_the_first_as_they_are(design):
     ],
 )
 def test_keys_that_set_the_same_value_are_refused_together(keys, named):
-    with pytest.raises(InputError, match=f"vary: .*{named}.* set the same value"):
-        check_sweep(sweep_of("push", [f"{key}=0.001,0.002" for key in keys]))
+    told = refused(check_sweep, sweep_of("push", [f"{key}=0.001,0.002" for key in keys]))
+    assert re.search(f"vary: .*{named}.* set the same value", told)
 
 
 @pytest.mark.parametrize(
@@ -204,24 +194,22 @@ def test_scenarios_of_one_name_are_told_apart_by_their_folders(tmp_path):
     loaded = load_scenarios(made(scenario=[str(folder) for folder in places]))
     assert [each.label for each in loaded] == ["A/lift", "B/lift", "C/x/lift", "D/x/lift", "other"]
     (tmp_path / "link").symlink_to(places[0])
-    with pytest.raises(InputError, match=f"{places[0]} is named twice"):
-        load_scenarios(made(scenario=[str(places[0]), str(tmp_path / "link")]))
+    twice = made(scenario=[str(places[0]), str(tmp_path / "link")])
+    assert f"{places[0]} is named twice" in refused(load_scenarios, twice)
 
 
 @pytest.mark.parametrize("text", ["plant.block_mass", "plant.block_mass=1:2", "=1", "a=1:b:3"])
 def test_a_vary_of_another_form_is_refused(text):
-    with pytest.raises(InputError, match="must be KEY=LOW:HIGH:STEPS"):
-        sweep_of("push", [text])
+    assert "must be KEY=LOW:HIGH:STEPS" in refused(sweep_of, "push", [text])
 
 
 def test_a_success_rate_without_criteria_is_refused(tmp_path):
     write_files(tmp_path / "bare", "duration = 0.1\n")
-    with pytest.raises(InputError, match="bare has no criteria, so it would always be met"):
-        check_sweep(made(scenario=(str(tmp_path / "bare"),), min_success=0.9))
+    bare = made(scenario=(str(tmp_path / "bare"),), min_success=0.9)
+    assert "bare has no criteria, so it would always be met" in refused(check_sweep, bare)
 
 
 def test_shipped_sweeps_can_be_run():
     assert "random_box" in shipped_sweeps()
     for name in shipped_sweeps():
-        sweep = load_sweep(name)
-        check_sweep(sweep)
+        check_sweep(load_sweep(name))

@@ -20,9 +20,7 @@ LAW = """\
 import time as clock
 
 class Hold:
-    "Holds the arm where it is"
     sleep = 0.0  # s
-
     def update(self, time, qpos):
         clock.sleep(self.sleep)
         return [*qpos[:7], 255.0]
@@ -30,12 +28,8 @@ class Hold:
 # A criterion that this law misses; it takes no command that tracking could be measured by.
 SETTINGS = """\
 duration = 0.1
-[fmus]
-controller = "hold.py:Hold"
-[[success.signal]]
-signal = "plant.qpos[1]"
-reduce = "max"
-below = -1.0
+fmus.controller = "hold.py:Hold"
+success.signal = [{signal = "plant.qpos[1]", reduce = "max", below = -1.0}]
 """
 
 
@@ -71,10 +65,7 @@ def test_a_row_with_a_law_becomes_a_scenario_that_regress_takes(tmp_path):
     command("regress", "--scenarios", tmp_path / "mine", "--exact", code=0)
 
 
-# A Dask cluster gives the same table as this machine's pool, also where workers are lost.
-
-
-distributed = pytest.importorskip("distributed")
+pytest.importorskip("distributed")
 
 
 @pytest.mark.long

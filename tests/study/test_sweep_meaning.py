@@ -21,6 +21,7 @@ from panda_cosim.study.sweep.convergence import convergence
 from panda_cosim.study.sweep.packed import Loaded, identity, pack
 from panda_cosim.study.sweep.store import Store
 from panda_cosim.task.input_table import InputTable
+from refusals import refused
 from sweep_support import FORCE, pretended, rows_of, short_scenario, short_sweep
 
 EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
@@ -51,9 +52,7 @@ def test_scenarios_that_share_a_name_keep_their_own_runs(tmp_path):
     rows, store = rows_of(out), Store(out)
     assert [row["scenario"] for row in rows] == ["A/lift", "A/lift", "B/lift", "B/lift"]
     assert [row["status"] for row in rows] == ["success", "success", "missed", "missed"]
-    kept = [row for row in rows if store.run_folder(row["index"]).exists()]
-    assert len(kept) == 4
-    for row in kept:
+    for row in rows:
         digest = Recording.open(store.run_folder(row["index"])).sha256()
         assert digest == row["recording_sha256"]
     promote_row(out, 2, tmp_path / "mine")
@@ -146,27 +145,21 @@ def test_a_search_needs_a_margin(tmp_path):
     bare = short_scenario(tmp_path / "bare")
     edit(bare, ("tracking_max = 0.001\norientation_rms = 1.0\n", ""))
     definition = short_sweep(tmp_path, 2, design="search", scenario=(str(bare),))
-    with pytest.raises(InputError, match="no margin to search by: it has no criteria"):
-        sweep(definition, tmp_path / "out")
-
-
-# Studies of step sizes.
-
-
-ORDERS, SIZES = st.floats(0.5, 5.0), st.floats(0.2, 5.0)
+    told = refused(sweep, definition, tmp_path / "out")
+    assert "no margin to search by: it has no criteria" in told
 
 
 @settings(max_examples=50, deadline=None)
-@given(ORDERS, st.floats(-1.0, 1.0), SIZES, st.permutations([1.0, 0.5, 0.2, 0.1]))
+@given(
+    st.floats(0.5, 5.0), st.floats(-1.0, 1.0), st.floats(0.2, 5.0),
+    st.permutations([1.0, 0.5, 0.2, 0.1]),
+)  # fmt: skip
 def test_margins_that_follow_a_power_of_the_step_have_its_order_and_limit(
     order, limit, size, steps
 ):
     assume(abs(size * 0.1**order) > 1e-6)  # of which rounding is no part
-    columns = {
-        "index": range(4),
-        "step": steps,
-        "margin.a": [limit + size * h**order for h in steps],
-    }
+    margins = [limit + size * h**order for h in steps]
+    columns = {"index": range(4), "step": steps, "margin.a": margins}
     content = SimpleNamespace(keys=["step"], nominal={"it": {}}, columns=["margin", "margin.a"])
     store: Any = SimpleNamespace(content=content, table=pa.table(columns).select)
     (found,) = convergence(store)

@@ -55,11 +55,8 @@ def texts_of(page: Page, selector: str) -> list[str]:
 
 
 def select(page: Page, name: str, value: str) -> None:
-    changed = "each.dispatchEvent(new Event('change'))"
-    page.value(
-        f"(each => {{ each.value = {json.dumps(value)}; {changed} }})"
-        f"(document.getElementById({json.dumps(name)}))"
-    )
+    change = f"each.value = {json.dumps(value)}; each.dispatchEvent(new Event('change'))"
+    page.value(f"(each => {{ {change} }})(document.getElementById({json.dumps(name)}))")
 
 
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
@@ -120,12 +117,8 @@ def test_any_metric_is_drawn_with_its_unit_and_a_kept_row_opens_in_3d(page, tmp_
     assert "tracking.max [mm]" in texts_of(page, "#chart text")
     assert count_of(page, "#chart .curve") == 1
     assert count_of(page, "#chart .cross") == 0
-    errors = [
-        json.loads((folder / "runs" / f"{i:07d}" / "summary.json").read_text())["tracking"][
-            "max_mm"
-        ]
-        for i in range(3)
-    ]
+    runs = [folder / "runs" / f"{i:07d}" for i in range(3)]
+    errors = [json.loads((r / "summary.json").read_text())["tracking"]["max_mm"] for r in runs]
     dots = "[...document.querySelectorAll('#chart .dot')]"
     heights = np.array(page.value(f"{dots}.map((dot) => -dot.getAttribute('cy'))"), dtype=float)
     rise, of = np.diff(heights), np.diff(errors)

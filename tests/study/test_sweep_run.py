@@ -20,18 +20,13 @@ from panda_cosim.fmus.atomic import TEMPORARY, cache_folder
 from panda_cosim.fmus.sources.targets import build
 from panda_cosim.study.sweep.again import promote_row, show_row
 from panda_cosim.study.sweep.backend import Local
+from panda_cosim.study.sweep.packed import load_scenarios
 from panda_cosim.study.sweep.report import write_report
-from panda_cosim.study.sweep.row import Task
+from panda_cosim.study.sweep.row import Job, Task
 from panda_cosim.study.sweep.store import Store
-from sweep_support import FORCE, job, rows_of, short_sweep, write_sweep
+from sweep_support import FORCE, rows_of, short_sweep, write_sweep
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
-COMMAND = str(Path(sys.executable).with_name("panda-cosim"))
-
-
-@pytest.fixture(scope="module")
-def fmus():
-    return {name: path.read_bytes() for name, path in build().items()}
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +37,9 @@ def whole(tmp_path_factory):
     return folder
 
 
-def start(folder: Path, *more: str) -> subprocess.Popen[str]:
-    path = folder / "sweep.toml"
-    arguments = [COMMAND, "sweep", str(path), "--out", str(folder / "out"), "--jobs", "1", *more]
+def start(folder: Path) -> subprocess.Popen[str]:
+    program, out = Path(sys.executable).with_name("panda-cosim"), ("--out", folder / "out")
+    arguments = [program, "sweep", folder / "sweep.toml", *out, "--jobs", "1"]
     return subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
@@ -149,17 +144,15 @@ def test_a_search_finds_failures_sooner_than_drawing_and_goes_on(tmp_path):
     out = sweep(definition, tmp_path / "out", jobs=1).folder
     rows = rows_of(out)
     assert [row["index"] for row in rows] == list(range(30))
-    late = rows[15:]
-    missed = [row for row in late if row["status"] == "missed"]
-    assert len(missed) > len(late) / 2
+    assert sum(row["status"] == "missed" for row in rows[15:]) > 15 / 2
     # Half of the table is lost, and the search goes on from the other.
     for part in Store(out).parts()[1:]:
         part.unlink()
     before = Store(out).done().tolist()
     assert 0 < len(before) < 30
     assert sum(sweep(definition, out, jobs=1).counts.values()) == 30
-    again = {row["index"]: row for row in rows_of(out)}
-    assert all(again[row["index"]] == row for row in rows if row["index"] in before)
+    again = rows_of(out)
+    assert [again[index] for index in before] == [rows[index] for index in before]
 
 
 def test_a_folder_takes_one_sweep_at_a_time(tmp_path):
@@ -224,12 +217,12 @@ def test_a_row_becomes_a_scenario_that_regress_takes(whole, tmp_path):
         promote_row(whole / "out", 4711, tmp_path / "other")
 
 
-def test_a_run_that_cannot_start_is_a_row_with_its_reason(tmp_path, fmus):
+def test_a_run_that_cannot_start_is_a_row_with_its_reason(tmp_path):
     tasks = [Task(0, 0, {"table.rows[2].time": 0.0}), Task(1, 0, {FORCE: 1.0})]
-    with Local(job(short_sweep(tmp_path), fmus), 1) as local:
+    fmus = {name: path.read_bytes() for name, path in build().items()}
+    with Local(Job(load_scenarios(short_sweep(tmp_path)), fmus), 1) as local:
         rows = {done.task.index: done.row for done in local.run(tasks) if done is not None}
-    assert rows[0]["status"] == "failed"
+    assert (rows[0]["status"], rows[0]["margin"]) == ("failed", None)
     assert "time: value 0.0; must be at least" in rows[0]["error"]
     assert "unexpected" not in rows[0]["error"]
-    assert rows[0]["margin"] is None
     assert rows[1]["status"] == "success"

@@ -9,8 +9,6 @@ import work_jobs
 from bounded import is_alive, wait_until
 from panda_cosim.study.work import Workers
 
-TESTS = Path(__file__).parents[1]
-
 
 def same(reason: str) -> str:
     return reason
@@ -18,7 +16,7 @@ def same(reason: str) -> str:
 
 @pytest.fixture(autouse=True)
 def _importable(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
 
 
 def test_a_process_works_again_and_is_apart_from_its_caller(capfd):
