@@ -60,6 +60,13 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
     }
 
 
+def test_a_scene_is_stepped_by_a_millisecond_and_can_be_drawn_in_1080p(scene):
+    assert scene.opt.timestep == 1e-3
+    assert scene.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert scene.vis.global_.offwidth >= 1920
+    assert scene.vis.global_.offheight >= 1080
+
+
 def test_motors_are_within_the_robots_torques_and_all_else_is_the_tabletop():
     motors, tabletop = load(TORQUE_DRIVEN), load("tabletop")
     limits = motors.actuator_forcerange[:7]

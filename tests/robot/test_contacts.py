@@ -77,9 +77,7 @@ def test_45_deg_from_vertical_parts_what_carries_from_what_pushes(turn, kind):
     mujoco.mj_forward(model, data)
     block = model.geom("obj_geom").id
     kinds = contacts_of(kinds_of(model), data)
-    assert {k for k, geoms in zip(kinds, data.contact.geom, strict=True) if block in geoms} >= {
-        kind
-    }
+    assert kind in [k for k, geoms in zip(kinds, data.contact.geom, strict=True) if block in geoms]
 
 
 @pytest.mark.parametrize(

@@ -67,17 +67,14 @@ def job(folder: Path, out: Path, values: dict[str, Any] | None = None) -> Any:
     return in_process(run_folder, str(folder), str(out), values or {})
 
 
-def part(name: str, variable: Variable) -> Part:
+def part(name: str, n: int, unit: str, causality: Causality) -> Part:
+    variable = Variable("x", (n,) if n else (), unit, causality, "continuous", "")
     return Part(name, Path(f"{name}.fmu"), Interface(name, "", (variable,)), Path)
-
-
-def vector(n: int, unit: str, causality: Causality) -> Variable:
-    return Variable("x", (n,) if n else (), unit, causality, "continuous", "")
 
 
 @given(st.integers(0, 3), st.integers(0, 3), *[st.sampled_from(["m", "rad", ""])] * 2)
 def test_outputs_feed_inputs_of_their_name_size_and_unit_alone(n, m, unit, other):
-    parts = [part("arm", vector(n, unit, "output")), part("law", vector(m, other, "input"))]
+    parts = [part("arm", n, unit, "output"), part("law", m, other, "input")]
     connector = Connector(parts)
     if n == m and (unit == other or not unit or not other):
         connector.connect_by_name(parts[1], parts[1].interface.variables[0])

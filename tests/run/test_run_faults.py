@@ -121,14 +121,10 @@ def stop_run(scenario: Path, out: Path, number: int, **options: object) -> Simpl
     return SimpleNamespace(code=code, recording=recording, lost=lost)
 
 
-ENDED = [
-    (signal.SIGINT, False),
-    (signal.SIGTERM, True),
-    *((signal.SIGKILL, i) for i in (False, True)),
-]
-
-
-@pytest.mark.parametrize(("number", "isolate"), ENDED)
+@pytest.mark.parametrize(
+    ("number", "isolate"),
+    [(signal.SIGINT, False), (signal.SIGTERM, True), *((signal.SIGKILL, i) for i in (False, True))],
+)
 def test_an_ended_run_keeps_all_and_a_killed_one_all_but_half_a_second(
     tmp_path, lasting, number, isolate
 ):
@@ -243,14 +239,10 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path, faulty, scenario):
     command = run_command(scenario, tmp_path / "run", fmus={"plant": str(faulty)}, isolate=True)
     mark, hangs = str(tmp_path / "hangs"), tmp_path / "hangs"
     environment = os.environ | {"FAULT": "hang@20", "FAULT_FILE": str(hangs)}
-    with running(command, env=environment, stdout=subprocess.DEVNULL) as master:
-        try:
-            wait_until(hangs.exists)
-            assert len(processes_with(mark, "remote_slave")) == 2
-        finally:
-            master.kill()
-            master.wait(30)
-        wait_until(lambda: not processes_with(mark, "remote_slave"))
+    with running(command, env=environment, stdout=subprocess.DEVNULL):  # it is killed at the end
+        wait_until(hangs.exists)
+        assert len(processes_with(mark, "remote_slave")) == 2
+    wait_until(lambda: not processes_with(mark, "remote_slave"))
 
 
 @pytest.mark.parametrize("seconds", [0.0, float("nan"), float("inf")])

@@ -63,13 +63,6 @@ def test_a_shipped_scenario_written_anew_reads_back_the_same(tmp_path, name):
     assert dataclasses.replace(read, **same) == scenario
 
 
-def timed(rows: list[TableRow]) -> TrajectoryTable:
-    """Return a table of rows, which get times."""
-    return TrajectoryTable(
-        tuple(dataclasses.replace(row, time=k / 7) for k, row in enumerate(rows))
-    )
-
-
 NUMBER = st.floats(-9.0, 9.0)
 POSITION = st.tuples(NUMBER, NUMBER, NUMBER)
 QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, st.floats(0.001, 9.0))
@@ -80,9 +73,7 @@ SECTION = st.dictionaries(st.sampled_from(["kp", "kp[3]", "block mass", "ä", '"
 
 TEXTS = st.lists(TEXT, max_size=2).map(tuple)
 FRAMES = st.sampled_from(["world", "home", "target"])
-ROW = st.builds(
-    TableRow, st.just(0.0), FRAMES, POSITION, st.floats(0.0, 0.08), st.none() | QUATERNION
-)
+ROWS = st.tuples(FRAMES, POSITION, st.floats(0.0, 0.08), st.none() | QUATERNION)
 MISMATCH = st.builds(
     Mismatch,
     preset=st.sampled_from(["nominal", *SIZES]),
@@ -93,7 +84,9 @@ MISMATCH = st.builds(
 SCENARIOS = st.builds(
     Scenario,
     st.just("name"),
-    st.lists(ROW, min_size=2, max_size=4).map(timed),
+    st.lists(ROWS, min_size=2, max_size=4).map(
+        lambda rows: TrajectoryTable(tuple(TableRow(k / 7, *row) for k, row in enumerate(rows)))
+    ),
     st.integers(1, 3_600_000).map(lambda ticks: ticks * 0.001),
     purpose=TEXT,
     align=st.booleans(),
