@@ -97,19 +97,14 @@ class Page:
 
     def resize(self, width: int, height: int) -> None:
         """Give the window another size."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=0.5,  # software draws here, and a quarter of the dots is enough
-            mobile=width < 700,
-        )
+        window = {"width": width, "height": height, "mobile": width < 700}
+        # Software draws here, and a quarter of the dots is enough.
+        self.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=0.5, **window)
 
     def value(self, expression: str) -> Any:
         """Evaluate JavaScript and return its value."""
-        answer = self.call(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
-        )
+        how = {"returnByValue": True, "awaitPromise": True}
+        answer = self.call("Runtime.evaluate", expression=expression, **how)
         if "exceptionDetails" in answer:
             raise RuntimeError(json.dumps(answer["exceptionDetails"])[:2000])
         return answer["result"].get("value")
@@ -173,13 +168,9 @@ class Page:
         text = {"text": key} if len(key) == 1 else {}
         code = {"Enter": 13, "Escape": 27, "ArrowDown": 40, "ArrowUp": 38, " ": 32}.get(key, 0)
         for kind in ("keyDown", "keyUp"):
-            self.call(
-                "Input.dispatchKeyEvent",
-                type=kind,
-                key=key,
-                windowsVirtualKeyCode=code,
-                **(text if kind == "keyDown" else {}),
-            )
+            more = text if kind == "keyDown" else {}
+            about = {"type": kind, "key": key, "windowsVirtualKeyCode": code, **more}
+            self.call("Input.dispatchKeyEvent", **about)
 
     def type(self, text: str) -> None:
         """Type text into what has the focus."""

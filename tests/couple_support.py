@@ -26,7 +26,6 @@ from panda_cosim.run.start import StartValues, instants, resolve, start_values
 HOST = Path(__file__).parent / "c_host" / "host.c"
 TABLES = {"trajectory": TRAJECTORY, "controller": INTERFACES["controller"],
           "plant": INTERFACES["plant"]}  # fmt: skip
-LEADERS = ("controller",)
 
 
 def panda_system(asked: Sequence[str] = (), files: Mapping[str, Path] | None = None) -> System:
@@ -82,8 +81,9 @@ def write_plan(task: Task, path: Path, foreign: Callable[[Path], str] = str) -> 
         resources = foreign(task.folders[name] / "resources").replace("\\", "/")
         if task.fmi == 2:
             resources = "file://" + "/" * (not resources.startswith("/")) + resources
-        token = _token(task.folders[name])
-        leads = "leads" if name in LEADERS else "follows"
+        described = (task.folders[name] / "resources" / "variables.txt").read_text().splitlines()
+        token = next(line.split("\t")[1] for line in described if line.startswith("token"))
+        leads = "leads" if name == "controller" else "follows"
         lines.append(f"instance {leads} {foreign(task.library(name))} {token} {resources}")
         lines += _starts(list(TABLES).index(name), task, table, task.values.get(name, {}))
     for i, table in enumerate(TABLES.values()):
@@ -137,20 +137,10 @@ def _starts(instance: int, task: Task, table: Any, values: Mapping[str, Any]) ->
     given = [s for s in table.scalars() if s.name in values]
     for _, group in groupby(given, key=lambda s: s.variable.name):
         scalars = list(group)
-        variable = scalars[0].variable
-        numbers = [_number(variable, values[s.name]) for s in scalars]
-        words = " ".join(x.hex() for x in numbers)
-        references = _references(scalars, task.fmi)
-        yield f"start {instance} {variable.kind} {len(numbers)} {words} {references}"
-
-
-def _number(variable: Any, value: Any) -> float:
-    return float(variable.choices.index(value) + 1 if value in variable.choices else value)
-
-
-def _token(folder: Path) -> str:
-    lines = (folder / "resources" / "variables.txt").read_text().splitlines()
-    return next(line.split("\t")[1] for line in lines if line.startswith("token"))
+        kind, names = scalars[0].variable.kind, ("", *scalars[0].variable.choices)
+        numbers = [names.index(x) if x in names else x for x in (values[s.name] for s in scalars)]
+        words = " ".join(float(x).hex() for x in numbers)
+        yield f"start {instance} {kind} {len(numbers)} {words} {_references(scalars, task.fmi)}"
 
 
 def compile_host(program: Path, *tool: str) -> None:

@@ -8,9 +8,11 @@ import json
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import forked
+from bounded import is_alive, ran
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.plant.plant import Plant
 from panda_cosim.task.scenario import SCENARIO_FILE, TABLE_FILE
@@ -77,10 +79,6 @@ class FaultyPlant(Fmi2Slave):
 
 
 '''
-_CHILD = (
-    "import sys; from pythonfmu.builder import FmuBuilder; "
-    "FmuBuilder.build_FMU(sys.argv[1], dest=sys.argv[2])"
-)
 
 
 def build_faulty(folder: Path) -> Path:
@@ -98,8 +96,8 @@ def build_faulty(folder: Path) -> Path:
         spec.append((scalar.name, kind, variable.causality, variable.variability, start))
     script, path = folder / "faultyplant_script.py", folder / "FaultyPlant.fmu"
     script.write_text(SCRIPT.format(spec=json.dumps(spec)))
-    command = [sys.executable, "-P", "-c", _CHILD, str(script), str(path)]
-    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    code = "from pythonfmu.builder import FmuBuilder as B; B.build_FMU({!r}, dest={!r})"
+    ran([sys.executable, "-P", "-c", code.format(str(script), str(path))])
     return path
 
 
@@ -115,18 +113,12 @@ class Starts:
     def update(self, time, qpos):
         return [*qpos[:7], 255.0]
 """
-TOML = """
-purpose = "short"
-scene = "tabletop"
-duration = {duration}
-"""
-ROWS = ("0,home,0,0,0,0.08", "{duration},home,0.02,0,-0.02,0.08")
 
 
 def write_scenario(folder: Path, duration: float = 0.2, more: str = "") -> Path:
     """Write a scenario in which the hand moves a little."""
-    settings, *rows = (text.format(duration=duration) for text in (TOML, *ROWS))
-    return write_files(folder, settings + more, *rows)
+    rows = ("0,home,0,0,0,0.08", f"{duration},home,0.02,0,-0.02,0.08")
+    return write_files(folder, f"duration = {duration}\n{more}", *rows)
 
 
 def write_files(folder: Path, settings: str, *rows: str) -> Path:
@@ -177,13 +169,9 @@ def run_with_fault(
 def processes_with(*words: str) -> Sequence[int]:
     """Return the numbers of living processes whose command line or environment has all words."""
     numbers = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                text = (entry / "cmdline").read_bytes() + (entry / "environ").read_bytes()
-                state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
-            except OSError:
-                continue
-            if state != "Z" and all(word.encode() in text for word in words):
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            text = (entry / "cmdline").read_bytes() + (entry / "environ").read_bytes()
+            if is_alive(int(entry.name)) and all(word.encode() in text for word in words):
                 numbers.append(int(entry.name))
     return numbers

@@ -43,10 +43,7 @@ def command(
     timeout: float = 300.0,
     **environment: str,
 ) -> subprocess.CompletedProcess[str]:
-    """Run `panda-cosim` with these arguments and variables; it is killed after `timeout` [s].
-
-    If an exit code is given, it has to end with that.
-    """
+    """Run `panda-cosim`, which has to end with the exit code and is killed after `timeout` [s]."""
     words = ["panda-cosim", *map(str, arguments)]
     done = _forked(_command, words, cwd, timeout, environment)
     assert code in (None, done.returncode), f"{words}: {done.returncode}{done.stdout}{done.stderr}"
@@ -121,20 +118,16 @@ def _forked(
 ) -> subprocess.CompletedProcess[str]:
     with tempfile.TemporaryDirectory(prefix="panda-forks-") as folder:
         files = [Path(folder, name) for name in ("output", "errors")]
-        variables = {**os.environ, **environment}
-        process = _context.Process(
-            target=_begin, args=(files, cwd or Path.cwd(), variables, task, arguments)
-        )
+        args = (files, cwd or Path.cwd(), {**os.environ, **environment}, task, arguments)
+        process = _context.Process(target=_begin, args=args)
         process.start()
         process.join(timeout)
         if process.exitcode is None:
             process.kill()
             process.join(60)
             raise subprocess.TimeoutExpired(list(map(str, arguments)), timeout)
-        output, errors = (
-            file.read_text(errors="replace") if file.exists() else "" for file in files
-        )
-        return subprocess.CompletedProcess(arguments, process.exitcode, output, errors)
+        texts = (file.read_text(errors="replace") if file.exists() else "" for file in files)
+        return subprocess.CompletedProcess(arguments, process.exitcode, *texts)
 
 
 # In the forked process.

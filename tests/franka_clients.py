@@ -63,25 +63,13 @@ def follow(
     }
 
 
-def joint(address: str, controller: str = "JointImpedance", pause: float = 0.0) -> Any:
-    """Move joints by positions."""
+def joint(address: str, controller: str = "JointImpedance", pause: str = "0.0") -> Any:
+    """Move joints by positions, and stop for a while in the middle, as under a debugger."""
     franka, robot = connected(address)
 
-    def command(first: Any, tick: int) -> Any:
-        return gone(franka, first.q_d, WAVE[tick] * JOINTS)
-
     control = robot.start_joint_position_control(getattr(franka.ControllerMode, controller))
-    return follow(control, command, pause=pause)
-
-
-def paused(address: str) -> Any:
-    """Stop for a while in the middle, as under a debugger."""
-    return joint(address, pause=0.3)
-
-
-def compliant(address: str) -> Any:
-    """Move joints behind the hand's impedance."""
-    return joint(address, "CartesianImpedance")
+    way = WAVE[:, None] * JOINTS
+    return follow(control, lambda first, k: gone(franka, first.q_d, way[k]), pause=float(pause))
 
 
 def soft(address: str) -> Any:
@@ -210,8 +198,7 @@ def touched(address: str, threshold: str) -> Any:
     robot.set_collision_behavior(*([float(threshold)] * n for n in (7, 7, 6, 6)))
 
     def act() -> None:
-        mode = franka.ControllerMode.JointImpedance
-        control = robot.start_joint_position_control(mode)
+        control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
         follow(control, lambda first, _: franka.JointPositions(first.q))
 
     return after_refusal(franka, robot, act)
@@ -221,12 +208,9 @@ def lossy(address: str) -> Any:
     """Move gently over a line that loses commands."""
     franka, robot = connected(address)
 
-    def command(first: Any, tick: int) -> Any:
-        return franka.JointPositions((np.array(first.q_d) + 0.2 * WAVE[tick] * JOINTS).tolist())
-
     control = robot.start_joint_position_control(franka.ControllerMode.JointImpedance)
     try:
-        return follow(control, command)
+        return follow(control, lambda first, k: gone(franka, first.q_d, 0.2 * WAVE[k] * JOINTS))
     except franka.ControlException as error:
         return str(error)
 
@@ -299,11 +283,6 @@ def talk(address: str, data: bytes, answer: int = 0) -> bytes:
         return line.recv(answer, socket.MSG_WAITALL) if answer else line.recv(1)
 
 
-def unknown(address: str) -> Any:
-    """Ask for what there is not."""
-    return len(talk(address, struct.pack("<III", 77, 0, 12)))
-
-
 def wrong_size(address: str) -> Any:
     """Connect with too few bytes."""
     return len(talk(address, struct.pack("<IIIH", 0, 0, 14, 10)))
@@ -352,11 +331,9 @@ def with_franky(address: str) -> Any:
     turn = franky.JointVelocityWaypoint([0.1] + [0.0] * 6, hold_target_duration=hold)
     robot.move(franky.JointVelocityWaypointMotion([turn, franky.JointVelocityWaypoint([0.0] * 7)]))
     told.append(list(robot.state.q))
-    push = franky.CartesianVelocityWaypoint(
-        franky.Twist([0.05, 0.0, 0.0]), hold_target_duration=hold
-    )
-    rest = franky.CartesianVelocityWaypoint(franky.Twist([0.0, 0.0, 0.0]))
-    robot.move(franky.CartesianVelocityWaypointMotion([push, rest]))
+    waypoint, twist = franky.CartesianVelocityWaypoint, franky.Twist
+    push = waypoint(twist([0.05, 0.0, 0.0]), hold_target_duration=hold)
+    robot.move(franky.CartesianVelocityWaypointMotion([push, waypoint(twist([0.0, 0.0, 0.0]))]))
     hand = franky.Gripper(address)
     return [*told, hand.move(0.03, 0.1), hand.width]
 

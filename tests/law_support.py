@@ -32,15 +32,8 @@ FUNCTIONS = (
 GAINS = np.dtype(
     [(f.name, float, np.shape(f.default) if f.name in RANGES else ()) for f in fields(Gains)]
 )
-LAYOUT = np.dtype(
-    [
-        ("inputs", INPUTS),
-        ("outputs", OUTPUTS),
-        ("gains", GAINS),
-        ("period", float),
-        ("state", STATE),
-    ]
-)
+NAMES = ("inputs", "outputs", "gains", "period", "state")
+LAYOUT = np.dtype(list(zip(NAMES, (INPUTS, OUTPUTS, GAINS, float, STATE), strict=True)))
 
 
 LAW = [name for name in BACKENDS["controller"] if name.startswith("controller")]

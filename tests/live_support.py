@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 from websockets.sync.client import ClientConnection, connect
 
-from bounded import line_of
+from bounded import line_of, running
 
 BIN = Path(sys.executable).parent
 READY = "window.PandaView !== undefined && PandaView.firstPicture > 0"
@@ -48,20 +48,10 @@ class Live:
 @contextmanager
 def live(folder: Path, *options: str) -> Iterator[Live]:
     """Start `panda-cosim live` in the parent of its run's folder."""
-    process = subprocess.Popen(
-        [BIN / "panda-cosim", "live", "--out", folder, *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        bufsize=1,
-        cwd=folder.parent,
-    )
-    try:
+    command = [BIN / "panda-cosim", "live", "--out", folder, *options]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "bufsize": 1}
+    with running(command, cwd=folder.parent, **pipes) as process:
         yield Live(process, folder)
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate(timeout=60)
 
 
 def asked(server: Live, path: str, **headers: str) -> tuple[int, bytes]:

@@ -42,11 +42,9 @@ class PD(Fmi2Slave):
                 Real(name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable)
             )
         for joint in (1, 2):
-            for name in ("q", "v"):
+            for name, kind in (("q", "input"), ("v", "input"), ("torque", "output")):
                 setattr(self, f"{name}{joint}", 0.0)
-                self.register_variable(Real(f"{name}{joint}", causality=Fmi2Causality.input))
-            setattr(self, f"torque{joint}", 0.0)
-            self.register_variable(Real(f"torque{joint}", causality=Fmi2Causality.output))
+                self.register_variable(Real(f"{name}{joint}", causality=Fmi2Causality[kind]))
 
     def do_step(self, current_time, step_size):
         for joint, goal in ((1, 0.6), (2, -0.4)):
@@ -93,12 +91,11 @@ def run_folder(folder: str, out: str, values: dict[str, Any] | None = None) -> d
     """Run a scenario; returns what the tests look at."""
     run = run_scenario(folder, out, values=values)
     recording = run.recording
-    parameters = {n: dict(p) for n, p in recording.metadata["parameters"].items()}
     return {
         "summary": run.summary.to_dict(),
         "columns": list(recording.columns),
         "final": {name: float(recording[name][-1]) for name in recording.columns},
-        "parameters": parameters,
+        "parameters": {n: dict(p) for n, p in recording.metadata["parameters"].items()},
         "warnings": list(run.warnings),
     }
 

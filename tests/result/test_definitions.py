@@ -79,9 +79,8 @@ def hold_again(run: Recording, grasp: int, end: int) -> dict[str, Any]:
     if lift is not None and lift <= release_command:
         carried = slice(lift, min(release_command + 1, end))
         away = block[carried] - run["plant.hand_xpos"][carried]
-        in_hand = Rotation.from_quat(run["plant.hand_xquat"][carried], scalar_first=True).apply(
-            away, inverse=True
-        )
+        hand = Rotation.from_quat(run["plant.hand_xquat"][carried], scalar_first=True)
+        in_hand = hand.apply(away, inverse=True)
         slip = 1e3 * max(np.linalg.norm(in_hand - in_hand[0], axis=1))
     return {"grasp": grasp, "lift": lift, "release_command": release_command, "end": end,
             "slip_mm": slip}  # fmt: skip
@@ -114,9 +113,8 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
     turns = [run["controller.quat_cmd"] + sign * run["plant.hand_xquat"] for sign in (-1, 1)]
     apart = np.min([np.linalg.norm(turn, axis=1) for turn in turns], axis=0)
     angle = np.degrees(4 * np.arcsin(apart / 2))
-    power = (
-        (run["plant.actuator_force"][:, :7] * run["plant.qvel"][:, :7]).clip(min=0.0).sum(axis=1)
-    )
+    powers = run["plant.actuator_force"][:, :7] * run["plant.qvel"][:, :7]
+    power = powers.clip(min=0.0).sum(axis=1)
     tilt = np.degrees(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
     yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
     at = last if placed is None else placed
@@ -142,9 +140,7 @@ def measured_again(run: Recording, goal: tuple[float, float, float] | None) -> d
         "events.command_end": instant(moving[-1]) if moving else None,
         "events.at_rest": instant(rest) if rest < last else None,
         "events.end": time[-1],
-        "events.collision": next(
-            (float(time[row]) for row in range(len(time)) if 2.0 in joints[row]), None
-        ),
+        "events.collision": instant(next((r for r in range(last + 1) if 2.0 in joints[r]), None)),
         "tracking.rms_mm": np.sqrt(np.mean(error**2)),
         "tracking.max_mm": max(error),
         "tracking.moving_rms_mm": np.sqrt(np.mean(error[moving] ** 2)) if moving else None,
@@ -233,12 +229,10 @@ def test_each_number_is_what_its_definition_says(run):
     again = measured_again(recording, scenario.success.block_position)
     if not summary["block.holds"]:
         again = {key: value for key, value in again.items() if "block.holds." not in key}
-    assert {key: listed(summary[key]) for key in again} == {
-        key: pytest.approx(
-            listed(value), rel=SAME, abs=ANGLE if "_deg" in key else SAME, nan_ok=True
-        )
-        for key, value in again.items()
-    }
+    for key, value in again.items():
+        close = ANGLE if "_deg" in key else SAME
+        expected = pytest.approx(listed(value), rel=SAME, abs=close, nan_ok=True)
+        assert listed(summary[key]) == expected, key
 
 
 def without(path: Path, signal: str) -> Recording:
@@ -304,34 +298,23 @@ def test_every_definition_is_of_a_number_event_or_criterion(tmp_path):
 # --- holds
 
 
-@given(
-    st.lists(
-        st.tuples(st.integers(1, 120), st.sampled_from([0.0, 0.5, 0.75, 2.0, 9.0])),
-        min_size=1,
-        max_size=12,
-    ),
-    st.sampled_from([0.001, 0.0005, 0.01]),
-)
+SPANS = st.tuples(st.integers(1, 120), st.sampled_from([0.0, 0.5, 0.75, 2.0, 9.0]))
+
+
+@given(st.lists(SPANS, min_size=1, max_size=12), st.sampled_from([0.001, 0.0005, 0.01]))
 def test_holds_are_those_found_row_by_row(runs, step):
     force = np.array([value for count, value in runs for _ in range(count)])
     time = step * np.arange(len(force))
-    recording = FakeRecording(
-        time,
-        {
-            "plant.qpos": np.zeros((len(time), 16)),
-            "plant.contact_force": force,
-            "controller.grip_cmd": np.zeros(len(time)),
-        },
-    )
-    found = [(hold.grasp, hold.end) for hold in find_holds(recording)]
+    signals = {"plant.qpos": np.zeros((len(time), 16)), "plant.contact_force": force,
+               "controller.grip_cmd": np.zeros(len(time))}  # fmt: skip
+    found = [(hold.grasp, hold.end) for hold in find_holds(FakeRecording(time, signals))]
     assert found == spans_of(time, force)
 
 
 # The example of ISO 9283: its figures computed again from the recordings, and by hand.
 
 
-EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
-ISO = runpy.run_path(str(EXAMPLES / "iso9283.py"))
+ISO = runpy.run_path(str(Path(__file__).parents[2] / "scenarios" / "examples" / "iso9283.py"))
 
 
 def test_repeatability_by_hand():

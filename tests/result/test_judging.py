@@ -12,12 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from panda_cosim import InputError, Recording, Scenario, SignalCriterion, Success, load_scenario
-from panda_cosim.result.judging.criterion import (
-    Criterion,
-    missed_text,
-    smallest_margin,
-    verdict_of,
-)
+from panda_cosim.result.judging.criterion import Criterion, missed_text, smallest_margin, verdict_of
 from panda_cosim.result.judging.signals import REDUCE, judge_signals
 from panda_cosim.result.recording import Column, Recorder
 from panda_cosim.run.start import check_criteria

@@ -178,11 +178,8 @@ def resting(*times: float, x: float = 0.0) -> list[Pose]:
 
 
 JOINT, HAND = "joint_motion_generator_", "cartesian_motion_generator_"
-SPEED, STEP, JUMP = (
-    "velocity_limits_violation",
-    "velocity_discontinuity",
-    "acceleration_discontinuity",
-)
+SPEED = "velocity_limits_violation"
+STEP, JUMP = "velocity_discontinuity", "acceleration_discontinuity"
 # Settings, poses and events of a scenario, and of each refusal that it is made for: error,
 # interface, row of the table, joint, and first instant [s] where the scenario tells it.
 SCENARIOS: dict[str, tuple[str, list[Pose], list[Event] | None, dict[str, Any]]] = {
@@ -286,12 +283,9 @@ def fast(tmp_path_factory):
     return json.loads((out / "summary.json").read_text()), Recording.open(out)
 
 
-def test_figures_are_those_of_the_recording(fast):
-    agree(fast[0]["preflight"], fast[1], fast[1].metadata["row_times"])
-
-
 def test_the_pandas_fast_cycle_asks_too_much_acceleration_of_fr3(fast):
     told = fast[0]["preflight"]
+    agree(told, fast[1], fast[1].metadata["row_times"])
     assert told["refusals"] == 1
     assert max(told["joint_acceleration_share"]) == pytest.approx(1.59, abs=0.005)
     assert max(told["joint_velocity_share"]) < 1.0
@@ -319,13 +313,10 @@ def refused_after(q: Array, at: int, count: int) -> int | None:
 
 
 def test_packets_may_be_lost_up_to_a_number_that_tick_by_tick_extrapolation_gives(tmp_path):
-    poses, events = (
-        resting(0.0, 0.25),
-        [(6, 3, 50, 40, 100.0), (6, 3, 90, 80, -100.0), (6, 3, 170, 40, 100.0)],
-    )
-    done = run_in_memory(
-        load_scenario(make(tmp_path / "s", 'duration = 0.25\npreflight = "fer"\n', poses, events))
-    )
+    events = [(6, 3, 50, 40, 100.0), (6, 3, 90, 80, -100.0), (6, 3, 170, 40, 100.0)]
+    settings = 'duration = 0.25\npreflight = "fer"\n'
+    folder = make(tmp_path / "s", settings, resting(0.0, 0.25), events)
+    done = run_in_memory(load_scenario(folder))
     told, q = done.summary.preflight, done.signals["controller.ctrl"][:, :7]
     borne = told["lost_packets"]
     assert 1 <= borne < 19
@@ -339,19 +330,13 @@ def test_packets_may_be_lost_up_to_a_number_that_tick_by_tick_extrapolation_give
 @pytest.fixture(scope="module")
 def rested(tmp_path_factory):
     """Signals of an arm whose servos hold it, by a law of its own."""
-    folder = make(
-        tmp_path_factory.mktemp("rested") / "still", "duration = 0.1\n", resting(0, 0.1), []
-    )
-    return run_in_memory(load_scenario(folder)).signals
+    folder = tmp_path_factory.mktemp("rested") / "still"
+    made = make(folder, "duration = 0.1\n", resting(0, 0.1), [])
+    return run_in_memory(load_scenario(made)).signals
 
 
 def recorded(signals: dict[str, Array], **metadata: Any) -> FakeRecording:
     return FakeRecording(DT * np.arange(len(signals["plant.jac"])), {**signals}, metadata)
-
-
-def test_all_but_twenty_packets_may_be_lost_by_a_robot_that_stands(rested):
-    told = preflight(recorded(rested), "fr3")
-    assert (told["lost_packets"], told["late"]) == (19, {})
 
 
 def test_who_stays_at_home_asks_nothing_of_the_robot():
@@ -359,7 +344,7 @@ def test_who_stays_at_home_asks_nothing_of_the_robot():
     rows = tuple(TableRow(t, "home", (0.0, 0.0, 0.0), 0.08) for t in (0.0, 1.0))
     done = run_in_memory(Scenario("home", TrajectoryTable(rows), 0.1, preflight="fer"))
     assert max(done.summary.preflight["joint_jerk_share"]) < 1e-6
-    assert done.summary.preflight["lost_packets"] == 19
+    assert (done.summary.preflight["lost_packets"], done.summary.preflight["late"]) == (19, {})
     assert max(done.summary.limits["torque_rate_share"]) < 0.01
 
 
@@ -387,12 +372,7 @@ def test_a_long_recording_is_judged_in_blocks_as_a_whole(fast):
         elif key not in ("findings", "late"):
             assert pieces[key] == value, key
     for told, again in zip(whole["findings"], pieces["findings"], strict=True):
-        assert (
-            again == pytest.approx(told) if isinstance(told, float) else again.keys() == told.keys()
-        )
-        assert (again["name"], again["time_s"], again["row"]) == (
-            told["name"], told["time_s"], told["row"]
-        )  # fmt: skip
+        assert again == told | {name: pytest.approx(told[name]) for name in ("value", "share")}
 
 
 @pytest.mark.parametrize("signal", ["controller.ctrl", "plant.jac"])
@@ -417,9 +397,8 @@ def test_of_no_rows_nothing_is_said_and_an_impedance_law_is_judged_by_its_torque
 
 @pytest.mark.parametrize("rows", [1, 101])
 def test_the_first_row_of_jacobi_coupling_has_no_command_yet(rows, rested):
-    late = recorded(
-        {name: signal[:rows].copy() for name, signal in rested.items()}, coupling="jacobi"
-    )
+    first = {name: signal[:rows].copy() for name, signal in rested.items()}
+    late = recorded(first, coupling="jacobi")
     assert preflight(late, "fer")["joint_refusals"] == 0
     late.signals["controller.ctrl"][0] = 0.0
     assert bool(preflight(late, "fer")["joint_refusals"]) == (rows == 1)

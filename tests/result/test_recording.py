@@ -79,7 +79,7 @@ def test_rows_come_back_bit_for_bit_however_they_were_cut(
         recorder.append(rows[start : start + count])
         start += count
         assert recorder.rows == start
-        if flushing:
+        if flushing and start:  # a thread writes the head
             recorder.flush()
             assert Recording.open(folder).rows == start
     path = recorder.close(complete=True)
@@ -121,9 +121,7 @@ def test_signals_have_their_shapes_units_and_metadata(tmp_path):
     assert recording.columns == tuple(column.name for column in COLUMNS)
     assert recording.units["plant.qpos[2]"] == "rad"
     assert recording.descriptions["plant.contact_force"] == "fingers on the block"
-    assert recording.metadata == {
-        **METADATA, "format": 1, "complete": True, "reason": None
-    }  # fmt: skip
+    assert recording.metadata == METADATA | {"format": 1, "complete": True, "reason": None}
     assert (recording.complete, recording.reason) == (True, None)
     assert np.array_equal(recording.time, rows[:, 0])
     assert recording["plant.qpos"].shape == (5, 3)
@@ -159,37 +157,31 @@ def test_whatever_names_a_recorder_has_its_recording_opens(tmp_path, names, shap
     with (MemoryRecorder if in_memory else Recorder)(tmp_path, columns, {}) as recorder:
         recorder.append(rows)
         recorder.close(complete=True)
-    recording = (
-        recorder.recording() if isinstance(recorder, MemoryRecorder) else Recording.open(tmp_path)
-    )
+    recording = recorder.recording() if in_memory else Recording.open(tmp_path)
     assert np.array_equal(all_columns(recording), rows)
     assert {n: recording[n].shape[1:] for n in recording.signals} == {"time": ()} | shapes
 
 
 def test_the_csv_quotes_only_names_with_a_comma(tmp_path):
     record(tmp_path, make_rows(2))
-    Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
+    recording = Recording.open(tmp_path)
+    recording.to_csv(tmp_path / "all.csv")
     lines = (tmp_path / "all.csv").read_bytes().split(b"\r\n")
     assert lines[0].startswith(b'time,plant.qpos[1],plant.qpos[2],plant.qpos[3],"plant.jac[1,1]",')
     assert lines[3:] == [b""]
-    with pytest.raises(InputError, match="already exists"):
-        Recording.open(tmp_path).to_csv(tmp_path / "all.csv")
-    Recording.open(tmp_path).to_csv(tmp_path / "all.csv", overwrite=True)
-    with pytest.raises(InputError, match="cannot be written"):
-        Recording.open(tmp_path).to_csv(tmp_path / "all.csv" / "below_a_file.csv")
+    assert "already exists" in refused(recording.to_csv, tmp_path / "all.csv")
+    recording.to_csv(tmp_path / "all.csv", overwrite=True)
+    assert "cannot be written" in refused(recording.to_csv, tmp_path / "all.csv" / "below_a_file")
 
 
 def test_a_mat_file_has_each_signal_with_its_unit_under_a_name_that_matlab_takes(tmp_path):
     long = "m." + 70 * "q"
     names = ["time", "plant.q[1]", "plant.q[2]", "m.ä b", "m.ä_b", "1.x", long + "a", long + "b"]
-    columns = [
-        Column(name, "rad" if name == "plant.q[1]" else "m", f"about {name}") for name in names
-    ]
+    units = {"plant.q[1]": "rad"}
+    columns = [Column(name, units.get(name, "m"), f"about {name}") for name in names]
     recorder = MemoryRecorder(tmp_path, [*columns, Column("m.text", type="string")], {})
-    rows = np.array(
-        [[i + 0.1 * j for j in range(len(names))] + [f"t{i}"] for i in range(3)], object
-    )
-    recorder.append(rows)
+    rows = [[i + 0.1 * j for j in range(len(names))] + [f"t{i}"] for i in range(3)]
+    recorder.append(np.array(rows, object))
     recorder.close(complete=True)
     recorder.recording().to_mat(tmp_path / "all.mat")
     read = loadmat(tmp_path / "all.mat")
@@ -276,27 +268,25 @@ def test_what_is_not_a_recording_is_refused(tmp_path, name, content):
     assert str(caught.value).isprintable()
 
 
-WHOLE = '{"format": 1, "complete": true}'
 FOREIGN = [
-    (["time"], "float64", None, "is not a recording of panda-cosim"),
-    (["time"], "float64", "{", "is damaged"),
-    (["time"], "float64", "[]", "format None; must be 1"),
-    (["time"], "float64", '{"format": 2, "complete": true}', "format 2; must be 1"),
-    ([], "float64", WHOLE, "the first column is not time"),
+    (["time"], None, "is not a recording of panda-cosim"),
+    (["time"], "{", "is damaged"),
+    (["time"], "[]", "format None; must be 1"),
+    (["time"], '{"format": 2, "complete": true}', "format 2; must be 1"),
+    ([], '{"format": 1, "complete": true}', "the first column is not time"),
 ]
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".arrows"])
-@pytest.mark.parametrize(("names", "kind", "metadata", "expected"), FOREIGN)
-def test_a_foreign_or_other_version_is_refused(tmp_path, suffix, names, kind, metadata, expected):
-    fields = [pa.field(name, getattr(pa, kind)()) for name in names]
+@pytest.mark.parametrize(("names", "metadata", "expected"), FOREIGN)
+def test_a_foreign_or_other_version_is_refused(tmp_path, suffix, names, metadata, expected):
+    fields = [pa.field(name, pa.float64()) for name in names]
     schema = pa.schema(fields, metadata={} if metadata is None else {"panda_cosim": metadata})
     path = tmp_path / f"recording{suffix}"
     if suffix == ".parquet":
         pq.write_table(schema.empty_table(), path)
     else:
-        with pa.ipc.new_stream(path, schema):
-            pass
+        pa.ipc.new_stream(path, schema).close()
     with pytest.raises(InputError, match=expected):
         Recording.open(path)
 
@@ -344,9 +334,7 @@ def test_a_recording_is_read_without_pandas(tmp_path):
         "import sys; sys.modules['pandas'] = None  # as if it were not installed\n"
         "from panda_cosim import Recording; print(Recording.open(sys.argv[1])['time'][2])"
     )
-    command = [sys.executable, "-c", code, str(tmp_path)]
-    done = ran(command)
-    assert done.stdout == "0.002\n"
+    assert ran([sys.executable, "-c", code, tmp_path]).stdout == "0.002\n"
 
 
 @pytest.mark.parametrize("name", ["~/run", "file:x", "x?y=1#z"])

@@ -84,25 +84,22 @@ def carried_rows(*, slip: float = 0.0) -> Array:
     return rows
 
 
-def test_lift_slip_and_place_are_those_of_the_block(record):
-    success = {"block_position": (0.0, 0.0, 0.25), "position_tolerance": 0.001}
-    summary = summarize(record(carried_rows(slip=0.0004)), scenario(**success))
+@pytest.mark.parametrize(("sign", "lift"), [(1.0, 0.2), (-1.0, 0.0)])
+def test_lift_slip_and_place_are_those_of_the_block_that_is_not_lifted_downwards(
+    record, sign, lift
+):
+    rows = carried_rows(slip=0.0004)
+    for name in ("plant.qpos[12]", "plant.hand_xpos[3]"):
+        rows[:, NAMES.index(name)] *= sign
+    success = {"block_position": (0.0, 0.0, sign * 0.25), "position_tolerance": 0.001}
+    summary = summarize(record(rows), scenario(**success))
     block = summary.block
-    assert block["lift_m"] == pytest.approx(0.2, abs=1e-12)
+    assert block["lift_m"] == pytest.approx(lift, abs=1e-12)
     assert block["slip_mm"] == pytest.approx(0.4, abs=MILLIMETRE)
     assert block["release_s"] == pytest.approx(1.2, abs=1e-9)
     assert block["placed_at_s"] == pytest.approx(1.7, abs=1e-9)  # half a second later
     assert block["place_error_mm"] == pytest.approx(0.4, abs=MILLIMETRE)
     assert summary.success
-
-
-def test_a_block_carried_downwards_slips_and_is_not_lifted(record):
-    rows = carried_rows(slip=0.0004)
-    for name in ("plant.qpos[12]", "plant.hand_xpos[3]"):
-        rows[:, NAMES.index(name)] *= -1.0
-    block = summarize(record(rows), scenario()).block
-    assert block["slip_mm"] == pytest.approx(0.4, abs=MILLIMETRE)
-    assert block["lift_m"] == 0.0
 
 
 def test_letting_go_is_a_drop_and_no_slip(record):
@@ -161,9 +158,8 @@ def test_a_missed_criterion_decides_and_what_was_not_measured_is_no_verdict(reco
 
 
 def test_tracking_of_a_law_without_orientation_is_measured(tmp_path):
-    names = [
-        f"{name}[{i}]" for name in ("plant.hand_xpos", "controller.pos_cmd") for i in (1, 2, 3)
-    ]
+    signals = ("plant.hand_xpos", "controller.pos_cmd")
+    names = [f"{name}[{i}]" for name in signals for i in (1, 2, 3)]
     time, rows = 1e-3 * np.arange(101.0), np.zeros((101, 7))
     rows[:, 0], rows[:, 1], rows[:, 4] = time, 0.003, 0.0
     rows[50:, [1, 4]] += 0.1  # the command moves at one tick, by as much as the hand
@@ -258,21 +254,13 @@ def test_a_law_without_a_joint_reference_is_judged_by_the_plants_limits():
     assert criterion.value == largest_share(limit_shares(course))
 
 
-def test_the_first_limit_that_binds_is_named():
+def test_the_first_limit_that_binds_is_named_also_a_servo_without_torque_left():
     run = still()
     assert first_limit(run) is None
-    run.signals["controller.limit"][7:, 4] = 2.0
-    run.signals["controller.limit"][9:, 1] = 3.0
-    assert first_limit(run) == {"time_s": 0.007, "joint": 5, "kind": "velocity"}
-
-
-def test_a_servo_without_torque_left_is_the_first_limit():
-    run = still()
     run.signals["controller.limit"][7:, 4] = 4.0
+    run.signals["controller.limit"][9:, 1] = 3.0
     run.signals["plant.actuator_force"][5:, 1] = -43.5  # N.m of 87
-    first = first_limit(run)
-    assert first is not None
-    assert first["kind"] == "jerk"
+    assert first_limit(run) == {"time_s": 0.007, "joint": 5, "kind": "jerk"}
     run.metadata["parameters"] = {"plant": {"torque_limit_scale[2]": 0.5}}
     assert first_limit(run) == {"time_s": 0.005, "joint": 2, "kind": "torque"}
     del run.signals["controller.limit"]  # a law that has no limits

@@ -87,7 +87,9 @@ def test_joints_follow_tick_by_tick_as_far_as_they_are_told(what: str) -> None:
 def test_a_repeat_and_a_pause_give_the_same_bits(is_told, monkeypatch, tmp_path):
     if not is_told:  # the kernel tells nothing of packets, as of another machine's
         monkeypatch.setattr(line, "PACKETS", tmp_path / "none")
-    np.testing.assert_array_equal(couple("paused").rows, after("joint").rows)
+    np.testing.assert_array_equal(
+        couple("joint", "JointImpedance", "0.3").rows, after("joint").rows
+    )
 
 
 @needs_clients
@@ -107,7 +109,7 @@ def test_the_hand_s_impedance_follows_the_hand() -> None:
     def place(q: Any) -> Any:
         return ArmModel("fr3").hand(q, np.zeros(7)).position.copy()
 
-    made = after("compliant")
+    made = after("joint", "CartesianImpedance")
     for tick in range(0, TICKS, TICKS // 8):
         away = place(made.rows[tick, :7]) - place(made.output("q_c")[tick])
         assert np.linalg.norm(away) < LAG
@@ -300,7 +302,6 @@ def test_a_client_that_dies_in_a_motion_is_an_error() -> None:
 
 
 @pytest.mark.parametrize(("client", "message"), [
-    ("unknown", "request 77 of 12 bytes, which version 10 of the robot does not have"),
     ("wrong_size", "request 0 of 14 bytes, which version 10 of the robot does not have"),
     ("nonsense", "request 4294967295 of 4294967295 bytes"),
     ("floods", "floods: more than 10000 requests"),

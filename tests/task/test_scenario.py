@@ -24,15 +24,11 @@ GOOD = 'purpose = "A test"\nduration = 1.5\n'
 # What scenario.toml holds, and what the message must say.
 BAD_SCENARIOS = {
     "empty": ("", "key duration is missing"),
-    "latin-1": (
-        'purpose = "h\xf6her"\n'.encode("latin-1"),
-        "line 1: invalid start byte; must",
-    ),
+    "latin-1": ('purpose = "h\xf6her"\n'.encode("latin-1"), "line 1: invalid start byte; must"),
     "too large": ("#" * 65_537, "is too large; must be at most 65536 bytes"),
     "key twice": (GOOD + "duration = 2\n", "at line 3"),
     "key misspelt": ("durration = 1.0\n", "did you mean 'duration'?"),
     "key unknown": (GOOD + "colour = 1\n", "key 'colour' is unknown; valid: duration, purpose"),
-    "duration missing": ('purpose = "x"\n', "key duration is missing"),
     "duration too long": ("duration = 3600.001\n", "must be a number from 0.001 to 3600 s"),
     "duration of 400 digits": ("duration = " + "9" * 400, "an integer of 1329 bits"),
     "duration no whole tick": ("duration = 1.0005\n", "must be a whole number of ticks of 0.001"),
@@ -51,10 +47,7 @@ BAD_SCENARIOS = {
         "one is missing; must be both or neither",
     ),
     "push no list": (GOOD + "push = 1\n", "key push: must be sections [[push]]"),
-    "order no list": (
-        GOOD + 'order = "plant"\n',
-        'key order: must be a list of texts, ["...", ...]',
-    ),
+    "order no list": (GOOD + 'order = "plant"\n', "key order: must be a list of texts"),
     "push incomplete": (GOOD + "[[push]]\nstart = 1.0\nduration = 0.1\n", "force is missing"),
     "push too strong": (
         GOOD + "[[push]]\nstart = 0\nduration = 1\nforce = [2000, 0, 0]\n",
@@ -63,13 +56,11 @@ BAD_SCENARIOS = {
 }
 
 
-def write(folder: Path, toml: str | bytes = GOOD, table: str | None = TABLE) -> Path:
+def write(folder: Path, toml: str | bytes = GOOD, table: str | bytes = TABLE) -> Path:
     """Make a scenario's folder."""
     folder.mkdir(exist_ok=True)
-    content = toml.encode() if isinstance(toml, str) else toml
-    (folder / "scenario.toml").write_bytes(content)
-    if table is not None:
-        (folder / "trajectory.csv").write_text(table)
+    for name, content in (("scenario.toml", toml), ("trajectory.csv", table)):
+        (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
     return folder
 
 
@@ -98,8 +89,6 @@ def test_a_folder_without_one_of_its_files_is_refused(tmp_path, missing):
         ("", "or a name from `panda-cosim list`"),
         ("a\0b", "no such folder"),
         ("x" * 5000, "no such folder"),
-        ("a\nb", "no such folder"),
-        (Path("/nowhere/at/all"), "no such folder; must be one with scenario.toml"),
         (Path(__file__), "no such folder; must be one with scenario.toml"),
         ("lift/scenario.toml", "or a name from `panda-cosim list`; did you mean 'lift'"),
     ],
@@ -206,34 +195,17 @@ def with_cell(column: str, text: str) -> str:
 BAD_TABLES = {
     "empty": ("", "0 rows; must be 2"),
     "one row": (HEAD + A, "1 rows; must be 2 to 100000"),
-    "latin-1": (
-        GOOD_TABLE.replace("home", "h\xf6me").encode("latin-1"),
-        "line 2: invalid start",
-    ),
+    "latin-1": (GOOD_TABLE.replace("home", "h\xf6me").encode("latin-1"), "line 2: invalid start"),
     "no header": (A + B, "line 1: column '0' is unknown"),
     "semicolons": (GOOD_TABLE.replace(",", ";"), "must be separated by commas"),
     "column missing": (GOOD_TABLE.replace("z,", "height,", 1), "column 'height' is unknown"),
-    "no grip column": (
-        "time,frame,x,y,z\n0,home,0,0,0\n1,home,0,0,0\n",
-        "line 2: key grip is missing",
-    ),
-    "column repeated": (
-        GOOD_TABLE.replace(",grip", ",qw,grip"),
-        "column 'qw' occurs 2 times; must occur once",
-    ),
-    "one quaternion column missing": (
-        "time,frame,x,y,z,qw,qx,qy,grip\n" + "0,home,0,0,0,0,1,0,0\n",
-        "orientation: value [0.0, 1.0, 0.0]; must be 4",
-    ),
+    "no grip column": ("time,frame,x,y,z\n0,home,0,0,0\n", "line 2: key grip is missing"),
+    "column repeated": (GOOD_TABLE.replace(",grip", ",qw,grip"), "'qw' occurs 2 times; must occur"),
     "row too short": (HEAD + A + "1,home,0,0\n", "line 3: 4 values; must be 10"),
     "open quote": (HEAD + A + '1,"home,0,0,0,,,,,0\n', "line 3: unexpected end of data"),
     "decimal comma": (with_cell("y", '"0,5"'), "such as 0.25"),
     "millimetres": (with_cell("z", "185"), "column z: value 185.0; must be a number from -10"),
     "time repeats": (with_cell("time", "0"), "row 2: time: value 0.0; must be at least 1e-06 s"),
-    "time goes back": (
-        GOOD_TABLE + A.replace("0,", "0.5,", 1),
-        "row 3: time: value 0.5; must be at least",
-    ),
     "times too close": (with_cell("time", "1e-9"), "value 1e-09; must be at least 1e-06 s after"),
     "frame misspelt": (with_cell("frame", "tagret"), "did you mean 'target'?"),
     "quaternion of zero length": (with_cell("qx", "0"), "must be longer than 0, or blank"),
@@ -242,9 +214,7 @@ BAD_TABLES = {
 
 
 def write_table(folder: Path, content: str | bytes) -> Path:
-    path = folder / "trajectory.csv"
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
+    return write(folder, table=content) / "trajectory.csv"
 
 
 @pytest.mark.parametrize(("content", "expected"), BAD_TABLES.values(), ids=BAD_TABLES.keys())

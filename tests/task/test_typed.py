@@ -46,8 +46,6 @@ def test_an_argument_of_a_wrong_type_is_refused_with_its_name(call, name):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"isolate": "yes"}, "Options: isolate: value 'yes'; must be of type bool"),
-        ({"realtime": "fast"}, "Options: realtime: value 'fast'; must be of type float"),
         ({"log": "plant"}, "Options: log: value 'plant'; must be of type Sequence"),
         ({"fmus": 5}, "Options: fmus: value 5; must be of type Mapping or None"),
     ],
