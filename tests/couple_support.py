@@ -102,9 +102,8 @@ def _columns() -> list[str]:
     columns = []
     for name, table in TABLES.items():
         owner = "controller" if name == "trajectory" else name  # recorded as its inputs
-        columns += [
-            f"{owner}.{s.name}" for s in table.scalars() if s.variable.causality == "output"
-        ]
+        outputs = (s for s in table.scalars() if s.variable.causality == "output")
+        columns += [f"{owner}.{s.name}" for s in outputs]
     return columns
 
 

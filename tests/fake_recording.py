@@ -69,16 +69,14 @@ def made_up_run(rows: int = 1001) -> FakeRecording:
     qpos[:, 0] = share
     qpos[:, 11] += np.where(held, 0.2 * (share - 0.3), 0.0)
     place = 0.5 + 0.1 * np.sin(time)[:, None] * np.ones(3)
-    return FakeRecording(
-        time,
-        {
-            "plant.qpos": qpos,
-            "plant.qvel": np.zeros((rows, 15)),
-            "plant.hand_xpos": place,
-            "plant.actuator_force": np.zeros((rows, 8)),
-            "plant.contact_force": np.where((share >= 0.315) & (share < 0.83), 20.0, 0.0),
-            "controller.pos_cmd": place.copy(),
-            "controller.qvel_ref": np.zeros((rows, 7)),
-            "controller.grip_cmd": np.where(held, 0.0, 0.08),
-        },
-    )
+    signals = {
+        "plant.qpos": qpos,
+        "plant.qvel": np.zeros((rows, 15)),
+        "plant.hand_xpos": place,
+        "plant.actuator_force": np.zeros((rows, 8)),
+        "plant.contact_force": np.where((share >= 0.315) & (share < 0.83), 20.0, 0.0),
+        "controller.pos_cmd": place.copy(),
+        "controller.qvel_ref": np.zeros((rows, 7)),
+        "controller.grip_cmd": np.where(held, 0.0, 0.08),
+    }
+    return FakeRecording(time, signals)

@@ -171,13 +171,8 @@ _LOG3 = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
 
 
 class _Callbacks(ctypes.Structure):
-    _fields_ = (
-        ("logger", _LOG2),
-        ("allocate", c_void_p),
-        ("free", c_void_p),
-        ("finished", c_void_p),
-        ("environment", c_void_p),
-    )
+    _rest = ("allocate", "free", "finished", "environment")
+    _fields_ = (("logger", _LOG2), *zip(_rest, [c_void_p] * 4, strict=True))
 
 
 _FUNCTIONS: dict[int, dict[str, tuple[str, Any]]] = {
@@ -209,12 +204,12 @@ class Instance:
 
     def _instantiate(self, location: bytes, token: bytes) -> int | None:
         if self.version == 2:
-            self.logger: Any = _LOG2(self._log2)
+            self.logger: Any = _LOG2(self._log)
             self.callbacks = _Callbacks(self.logger)
             create: Any = self.dll.fmi2Instantiate
             arguments: tuple[Any, ...] = (b"it", 1, token, location, byref(self.callbacks), 0, 1)
         else:
-            self.logger = _LOG3(self._log3)
+            self.logger = _LOG3(self._log)
             create = self.dll.fmi3InstantiateCoSimulation
             modes, none = [c_bool(False)] * 4, c_size_t(0)
             arguments = (b"it", token, location, *modes, None, none, None, self.logger, None)
@@ -222,11 +217,10 @@ class Instance:
         component: int | None = create(*arguments)
         return component
 
-    def _log2(self, _env: Any, _name: bytes, status: int, category: bytes, text: bytes) -> None:
-        self.log.append((status, category.decode(), text.decode().replace("%%", "%")))
-
-    def _log3(self, _env: Any, status: int, category: bytes, text: bytes) -> None:
-        self.log.append((status, category.decode(), text.decode()))
+    def _log(self, *said: Any) -> None:
+        status, category, text = *said[-3:-1], said[-1].decode()
+        text = text.replace("%%", "%") if self.version == 2 else text
+        self.log.append((status, category.decode(), text))
 
     def messages(self) -> str:
         """All that has been logged."""
@@ -238,15 +232,12 @@ class Instance:
         return status
 
     def start(
-        self,
-        values: Mapping[str, Sequence[float]] | None = None,
-        start_time: float = 0.0,
-        stop_time: float | None = None,
+        self, values: Mapping[str, Sequence[float]] | None = None, **times: Any
     ) -> "Instance":
-        """Set variables and go through initialization, which has to succeed."""
+        """Set variables and go through initialization, which has to succeed; times as `enter`."""
         for name, elements in (values or {}).items():
             assert self.set(name, *elements) == OK, self.messages()
-        assert self.enter(start_time, stop_time) == OK, self.messages()
+        assert self.enter(**times) == OK, self.messages()
         assert self("ExitInitializationMode") == OK, self.messages()
         return self
 

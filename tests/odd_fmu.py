@@ -56,9 +56,8 @@ def odd_fmu(
             + (f"<{kind}/>" if causality == "output" else f'<{kind} start="{start}"/>')
             + "</ScalarVariable>"
         )
-    text = DESCRIPTION.format(
-        flags=flags, experiment=experiment, variables="".join(lines), varies=varies
-    )
+    more = {"flags": flags, "experiment": experiment, "varies": varies}
+    text = DESCRIPTION.format(variables="".join(lines), **more)
     return pack(path, {"modelDescription.xml": text, "binaries/linux64/odd.so": library()})
 
 

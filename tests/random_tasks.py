@@ -68,23 +68,18 @@ def run_plain(scenario: Scenario) -> FakeRecording:
             ctrl[:] = controller.outputs["ctrl"]
         for name, part in parts.items():
             log[name][tick] = part.output_values
-    signals = {f"controller.{name}": each for name, each in commanded(commands).items()}
+    names, signals = [name.partition("[")[0] for name in COMMANDS], {}
+    for name in names:
+        at = [column for column, n in enumerate(names) if n == name]
+        signals[f"controller.{name}"] = commands[:, at if len(at) > 1 else at[0]]
     for name, part in parts.items():
         dtype = part.outputs.dtype
         signals |= {f"{name}.{n}": log[name].view(dtype)[:, 0][n] for n in dtype.names or ()}
     scalars = [(f"{part}.{s.name}", s) for part, i in INTERFACES.items() for s in i.scalars()]
-    run = FakeRecording(
-        instants(scenario), signals, {"coupling": scenario.coupling, "parameters": values}
-    )
+    metadata = {"coupling": scenario.coupling, "parameters": values}
+    run = FakeRecording(instants(scenario), signals, metadata)
     run.units = {name: scalar.unit for name, scalar in scalars if name in run}
     return run
-
-
-def commanded(commands: Array) -> dict[str, Array]:
-    """Commands (n, 14) by the names of the controller's inputs."""
-    names = [name.partition("[")[0] for name in COMMANDS]
-    columns = {name: [i for i, n in enumerate(names) if n == name] for name in names}
-    return {n: commands[:, at if len(at) > 1 else at[0]] for n, at in columns.items()}
 
 
 def connect(plant: Plant, controller: Controller) -> None:

@@ -12,22 +12,13 @@ from panda_cosim.task.rotations import Array
 
 STEP = 0.001  # s
 ROWS = 401
-UNITS = {
-    "time": "s",
-    "plant.qpos[1]": "rad",
-    "plant.contact_force": "N",
-    "plant.jac[1,1]": "m",
-    "controller.dq[1]": "rad",
-    "controller.dq[2]": "rad",
-}
+UNITS = {"time": "s", "plant.qpos[1]": "rad", "plant.contact_force": "N", "plant.jac[1,1]": "m",
+         "controller.dq[1]": "rad", "controller.dq[2]": "rad"}  # fmt: skip
 METADATA: dict[str, Any] = {
-    "scenario": "small",
-    "step_size": STEP,
-    "versions": {"numpy": "1"},
-    "platform": "x",
+    "scenario": "small", "step_size": STEP, "versions": {"numpy": "1"}, "platform": "x",
     "fmus": {"plant": {"model": "PandaPlant", "guid": "{1}"}},
     "parameters": {"plant": {"block_mass": 0.18}},
-}
+}  # fmt: skip
 CONTENT: dict[str, Any] = {  # of a summary.json
     "success": True,
     "criteria": [{"name": "tracking_rms", "value": 0.1, "bound": 0.2, "unit": "m", "ok": True}],
@@ -35,11 +26,8 @@ CONTENT: dict[str, Any] = {  # of a summary.json
     "limits": {"torque_share": [0.1, 0.2]},
     "timing": {"simulated_s": 0.4, "wall_s": 1.0},
 }
-MISSED_CONTENT: dict[str, Any] = {
-    **CONTENT,
-    "success": False,
-    "criteria": [{**CONTENT["criteria"][0], "value": 0.3, "ok": False}],
-}
+MISSED = [{**CONTENT["criteria"][0], "value": 0.3, "ok": False}]
+MISSED_CONTENT: dict[str, Any] = {**CONTENT, "success": False, "criteria": MISSED}
 SUMMARY, NO_SUCCESS = map(Summary.read, (CONTENT, MISSED_CONTENT))
 
 

@@ -104,10 +104,8 @@ def test_an_output_is_added_in_two_places_and_a_line_of_the_description_in_one(c
     text = source.read_text(encoding="utf-8")
     source.write_text(text.replace('DATE: Final = "2026', 'DATE: Final = "2027'))
     after = [Fmu(Path(path)) for path in python(changed, *build).split()]
-    dates = [
-        [fmu.description.generationDateAndTime[:4] for fmu in fmus] for fmus in (before, after)
-    ]
-    assert dates == [["2026"] * 3, ["2027"] * 3]
+    dates = [fmu.description.generationDateAndTime[:4] for fmu in (*before, *after)]
+    assert dates == ["2026"] * 3 + ["2027"] * 3
 
 
 ACT = """

@@ -200,20 +200,13 @@ def test_every_page_is_in_the_menu():
 # README, reference and notebook say what is so: commands, scenario files, links.
 
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-REFERENCE_PAGES = sorted((ROOT / "docs" / "reference").glob("*.md"))
-REFERENCE = "\n".join(page.read_text(encoding="utf-8") for page in REFERENCE_PAGES)
-SCENARIO = (ROOT / "docs" / "reference" / "scenario.md").read_text(encoding="utf-8")
-
-
-def code_blocks(kind: str, text: str = README) -> list[str]:
-    """Code code_blocks of one kind."""
-    return re.findall(rf"^```{kind}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+SCENARIO = DOCS / "reference" / "scenario.md"
 
 
 def test_the_example_scenario_can_be_read(tmp_path):
-    (tmp_path / "scenario.toml").write_text(code_blocks("toml", SCENARIO)[0], encoding="utf-8")
-    (tmp_path / "trajectory.csv").write_text(code_blocks("csv", SCENARIO)[0], encoding="utf-8")
+    for kind, file in (("toml", "scenario.toml"), ("csv", "trajectory.csv")):
+        text = next(block.text for block in blocks(SCENARIO) if block.kind == kind)
+        (tmp_path / file).write_text(text, encoding="utf-8")
     scenario = Scenario.read(tmp_path)
     assert scenario.success.min_lift == 0.15
     assert len(scenario.success.signal) == 1
@@ -221,9 +214,10 @@ def test_the_example_scenario_can_be_read(tmp_path):
 
 def test_every_key_and_column_of_a_scenario_is_named():
     keys = {entry.name for entry in (*fields(Scenario), *fields(Success))}
-    missing = {key for key in keys if not re.search(rf"\b{key}\b", REFERENCE)}
+    text = " ".join(page.read_text(encoding="utf-8") for page in SCENARIO.parent.glob("*.md"))
+    missing = {key for key in keys if not re.search(rf"\b{key}\b", text)}
     assert missing <= {"name", "table", "input_table", "folder"}  # none is in a scenario's file
-    table = SCENARIO.partition("| column | meaning |")[2]
+    table = SCENARIO.read_text(encoding="utf-8").partition("| column | meaning |")[2]
     assert all(f"`{column}`" in table for column in COLUMNS)
 
 
@@ -246,7 +240,7 @@ def test_every_link_leads_somewhere(name):
 # The examples run as they stand: four ways to use the project, from own parts to a kept result.
 
 
-EXAMPLES = Path(__file__).parents[2] / "scenarios" / "examples"
+EXAMPLES = ROOT / "scenarios" / "examples"
 EXAMPLE_LIMIT = 500.0  # [s]
 
 
@@ -326,10 +320,10 @@ def test_a_script_runs_and_says_what_it_shows(name, tmp_path):
 
 def test_the_reference_says_where_the_scenes_objects_are():
     model = load_scene(PlantParameters())
-    table, block = model.geom("table"), model.geom("obj_geom")
-    text = (DOCS / "reference" / "scenario.md").read_text(encoding="utf-8")
+    table = model.geom("table")
+    text = SCENARIO.read_text(encoding="utf-8")
     described = PLANT.variable("scene").description
-    for geom in (table, block):
+    for geom in (table, model.geom("obj_geom")):
         size = " x ".join(f"{2 * half:g}" for half in geom.size)
         assert f"{size} m" in text
         assert f"{size} m" in described

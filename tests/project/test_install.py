@@ -86,9 +86,8 @@ def installed(tmp_path_factory):
     source = copied_source(folder)
     copy_libraries(source / "fmus" / "native" / "lib", "stepper")  # which the build compiles
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    built = run(
-        *pip, "wheel", source, "--no-deps", "--no-build-isolation", "-w", folder, cwd=folder
-    )
+    options = ("--no-deps", "--no-build-isolation", "-w", folder)
+    built = run(*pip, "wheel", source, *options, cwd=folder)
     assert built.returncode == 0, built.stderr
     shutil.rmtree(source)
     run(sys.executable, "-m", "venv", "--without-pip", folder / "venv", cwd=folder)

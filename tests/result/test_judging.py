@@ -81,8 +81,11 @@ def test_a_reduction_gives_its_number(recording, keys, value, unit):
     assert (result.unit, result.ok) == (unit, True)
 
 
+NEVER = {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0}
+
+
 def test_what_does_not_settle_is_missed_by_at_least_the_rest_of_its_window(recording):
-    result = judged(recording, signal="step", reduce="settle", band=0.1, target=3.0, below=0.5)
+    result = judged(recording, **NEVER, below=0.5)
     assert result.word == "missed"
     assert result.value == pytest.approx(2.001, abs=1e-9)  # s: the row after the last
 
@@ -108,14 +111,8 @@ def test_two_bounds_are_two_criteria(recording):
     [
         ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
         ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
-        (
-            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": 1.5},
-            "does not settle within its window of 0.5 s",
-        ),
-        (
-            {"signal": "step", "reduce": "settle", "band": 0.1, "target": 3.0, "from_": "end"},
-            "a window of one row",
-        ),
+        (NEVER | {"from_": 1.5}, "does not settle within its window of 0.5 s"),
+        (NEVER | {"from_": "end"}, "a window of one row"),
         ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
     ],
 )

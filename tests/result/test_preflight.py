@@ -178,6 +178,7 @@ def resting(*times: float, x: float = 0.0) -> list[Pose]:
 
 
 JOINT, HAND = "joint_motion_generator_", "cartesian_motion_generator_"
+START = "position_motion_generator_start_pose_invalid"
 SPEED = "velocity_limits_violation"
 STEP, JUMP = "velocity_discontinuity", "acceleration_discontinuity"
 # Settings, poses and events of a scenario, and of each refusal that it is made for: error,
@@ -191,10 +192,8 @@ SCENARIOS: dict[str, tuple[str, list[Pose], list[Event] | None, dict[str, Any]]]
          (4, 2, 80, 2, -12.6), (3, 2, 100, 2, 10.1), (5, 1, 120, 5, 2.62), (3, 1, 140, 5, 2.2),
          (4, 0, 160, 5, 1.6), (3, 0, 180, 5, 2.95), (1, 2, 290, 99, 16.0)],
         {
-            "start_pose": ("joint_position_motion_generator_start_pose_invalid", "joint", 1, 2,
-                           0.0),
-            "start_place": ("cartesian_position_motion_generator_start_pose_invalid", "cartesian",
-                            1, None, 0.0),
+            "start_pose": (f"joint_{START}", "joint", 1, 2, 0.0),
+            "start_place": (f"cartesian_{START}", "cartesian", 1, None, 0.0),
             "joint_jerk": (JOINT + JUMP, "joint", 3, 4, 0.04),
             "elbow_jerk": (HAND + JUMP, "cartesian", 4, None, 0.06),
             "joint_acceleration": (JOINT + STEP, "joint", 5, 4, 0.08),

@@ -49,7 +49,7 @@ def test_each_requirement_has_what_proves_it_and_the_verdict(report):
     root = ET.parse(report / "junit.xml").getroot()
     stated = {
         case.get("name"): [
-            each.get("value") for each in case.iter("property") if each.get("name") == "requirement"
+            e.get("value") for e in case.iterfind(".//property[@name='requirement']")
         ]
         for case in root.iter("testcase")
     }

@@ -37,14 +37,9 @@ def blank_rows() -> Array:
     """A block that lies on the floor, and a hand that is where it shall be (n, columns)."""
     rows = np.zeros((TICKS + 1, len(NAMES)))
     rows[:, 0] = np.arange(TICKS + 1) * 1e-3
-    for name, value in {
-        "plant.hand_xquat[1]": 1.0,
-        "controller.quat_cmd[1]": 1.0,
-        "plant.qpos[12]": 0.05,
-        "plant.qpos[13]": 1.0,
-        "plant.qpos[4]": -1.5,
-        "plant.qpos[6]": 1.5,
-    }.items():
+    values = {"plant.hand_xquat[1]": 1.0, "controller.quat_cmd[1]": 1.0, "plant.qpos[12]": 0.05,
+              "plant.qpos[13]": 1.0, "plant.qpos[4]": -1.5, "plant.qpos[6]": 1.5}  # fmt: skip
+    for name, value in values.items():
         rows[:, NAMES.index(name)] = value
     return rows
 

@@ -107,9 +107,7 @@ class AtOnce:
 def fault_in(junit: Path) -> str | None:
     """Problem and kind of the one case of a JUnit file."""
     (case,) = ET.parse(junit).iter("testcase")
-    return next(
-        (f"{problem.tag} {problem.get('type')}" for problem in case.iterfind("*[@type]")), None
-    )
+    return next((f"{each.tag} {each.get('type')}" for each in case.iterfind("*[@type]")), None)
 
 
 @given(

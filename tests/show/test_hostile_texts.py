@@ -101,7 +101,7 @@ def sweep_folder(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path):
+def test_commands_and_links_of_a_sweep_hold_any_folder_and_scenario(tmp_path):
     folder = sweep_folder(tmp_path / "javascript:x';id #%41?", "x")
     (folder / "shown" / "0000001").mkdir(parents=True)
     (folder / "shown" / "0000001" / "view.html").touch()
@@ -110,9 +110,6 @@ def test_commands_and_links_of_a_sweep_hold_any_folder(tmp_path):
     link = "./javascript%3Ax%27%3Bid%20%23%2541%3F/shown/0000001/view.html"
     assert data["views"] == {"1": link}
     assert shlex.split(data["show"])[-1] == str(folder)
-
-
-def test_a_rows_command_holds_any_scenario():
     said = row_command("a b;c", {"plant.scene": "x y"})
     assert shlex.split(said) == ["panda-cosim", "run", "a b;c", "--set", "plant.scene=x y"]
 
@@ -149,9 +146,8 @@ def reported(folder: Path, text: str) -> bytes:
     metadata = {"versions": {text: text}, "parameters": {text: {text: text}}}
     record(folder / "now", values, units=units, metadata=metadata)
     (folder / "now" / SUMMARY_FILE).write_text(json.dumps({**CONTENT, "limits": {text: 1.0}}))
-    compared = compare_with_reference(
-        Recording.open(folder / "now"), SUMMARY, reference, tolerances
-    )
+    now = Recording.open(folder / "now")
+    compared = compare_with_reference(now, SUMMARY, reference, tolerances)
     differs = Outcome(scenario, "differs", folder / "now", 1.0, compared)
     named = copy(scenario)
     object.__setattr__(named, "name", text)  # as a folder may be called

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from bounded import children, is_alive, line_of, ran, wait_until
+from bounded import children, is_alive, line_of, ran, running, wait_until
 from fake_recording import HOME, made_up_run
 from fault_support import write_scenario
 from forked import command
@@ -27,7 +27,6 @@ from panda_cosim.show.pictures.gl import RenderError
 from panda_cosim.show.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
-    frame_times,
     interpolate_qpos,
     key_moments,
     slerp,
@@ -85,21 +84,14 @@ def test_between_rows_joints_move_linearly_and_the_block_turns():
     np.testing.assert_allclose(half[BLOCK_QUAT], about_x(0.5), atol=EXACT)
 
 
-def test_a_video_of_the_task_has_390_frames_a_sixtieth_apart():
-    times = frame_times(np.arange(6501) * 0.001, 60)
-    assert len(times) == 390
-    np.testing.assert_array_equal(times, np.arange(390) / 60)
-
-
 # --- key moments of a run
 
 
 def test_the_key_moments_tell_the_story_in_order_at_the_instants_of_the_summary():
     run = made_up_run(6501)
     found = key_moments(run, 12)
-    times = [moment.time for moment in found]
-    assert len(times) == 12
-    assert times == sorted(times)
+    assert len(found) == 12
+    assert found == sorted(found, key=lambda moment: moment.time)
     moments = {moment.label: moment.time for moment in found if moment.label}
     assert [*moments] == ["start", "reach", "grasp", "lift", "carry", "set down", "release",
                           "leave", "end"]  # fmt: skip
@@ -116,13 +108,9 @@ def test_the_key_moments_tell_the_story_in_order_at_the_instants_of_the_summary(
 @needs_gl
 def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path):
     seen: list[tuple[int, int]] = []
-    path = render_video(
-        made_up_run(201),
-        tmp_path / "new" / "video.mp4",
-        width=160,
-        height=120,
-        progress=lambda done, total: seen.append((done, total)),
-    )
+    path = tmp_path / "new" / "video.mp4"
+    options = {"width": 160, "height": 120, "progress": lambda *each: seen.append(each)}
+    render_video(made_up_run(201), path, **options)
     said = ffmpeg_says(path)
     assert re.search(r"Video: h264 .*yuv420p.* 160x120.* 30 fps", said), said
     assert re.findall(r"frame= *(\d+)", said)[-1] == "6"
@@ -134,11 +122,9 @@ def test_the_video_can_be_decoded_and_has_the_frames_size_and_codec(tmp_path):
 @needs_gl
 def test_a_run_names_each_file_once_it_is_there_and_the_video_last(tmp_path):
     write_scenario(tmp_path / "short")
-    done = subprocess.run(
-        [sys.executable, "-m", "panda_cosim", "run", "short", "--out", "run", "--fps", "15"],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300,
-        check=False,
-    )  # fmt: skip
+    program = [sys.executable, "-m", "panda_cosim", "run", "short", "--out", "run", "--fps", "15"]
+    pipes = {"capture_output": False, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    done = ran(program, code=None, cwd=tmp_path, **pipes)
     lines = ("run/recording.parquet  ", "run/summary.json  ", "run/view.html  ", "run/plot.png  ",
              "run/contact_sheet.png  ", "Drawing the video", "run/video.mp4  ")  # fmt: skip
     places = [done.stdout.index(line) for line in lines]
@@ -188,21 +174,16 @@ render_video(run, sys.argv[1], width=64, height=48, progress=say)
 
 
 @needs_gl
-@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_no_process_outlives_the_one_that_draws(tmp_path, number):
     path = tmp_path / "video.mp4"
-    child = subprocess.Popen(
-        [sys.executable, "-c", LONG_VIDEO, str(path)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    assert line_of(child).strip() == b"1"
-    group = [child.pid, *children(child.pid)]
-    assert len(group) >= 3, "this process, the one that draws, and ffmpeg"
-    child.send_signal(number)
-    child.wait(timeout=30)
-    child.stdout.close()
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with running([sys.executable, "-c", LONG_VIDEO, path], **pipes) as child:
+        assert line_of(child).strip() == b"1"
+        group = [child.pid, *children(child.pid)]
+        assert len(group) >= 3, "this process, the one that draws, and ffmpeg"
+        child.send_signal(number)
+        child.wait(timeout=30)
     wait_until(lambda: not any(map(is_alive, group)))
     assert not path.exists()
 
@@ -223,11 +204,10 @@ def test_the_contact_sheet_is_a_grid_of_four_columns(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"width": 63}, r"width: value 63 px; must be even"),
+        ({"width": 63}, r"width: value 63 px; must be even, from 16 to 8192 px"),
         ({"height": 0}, r"height: value 0 px; must be even, from 16"),
         ({"fps": 0.0}, r"fps: value 0.0; must be a number from 1 to 240"),
         ({"path": "video.avi"}, r"video.avi: a video's name must end in .mp4"),
-        ({"width": 10000}, r"width: value 10000 px; must be even, from 16 to 8192 px"),
     ],
 )
 def test_a_bad_option_is_refused_with_its_bounds(tmp_path, options, message):
@@ -247,8 +227,6 @@ def test_a_recording_that_lacks_a_signal_is_refused_before_the_video(tmp_path):
 
 # --- OpenGL
 
-linux = pytest.mark.skipif(sys.platform != "linux", reason="the backends of Linux")
-
 
 @pytest.fixture
 def no_backend(monkeypatch, tmp_path):
@@ -261,7 +239,6 @@ def no_backend(monkeypatch, tmp_path):
         monkeypatch.delenv(name, raising=False)
 
 
-@linux
 @pytest.mark.usefixtures("no_backend")
 @pytest.mark.parametrize(
     ("backend", "libraries", "message"),
@@ -280,13 +257,10 @@ def test_mujoco_gl_is_honoured_and_what_is_missing_named(monkeypatch, backend, l
         OffscreenRenderer("tabletop", 16, 16)
 
 
-@linux
 def test_what_needs_no_picture_needs_no_opengl(tmp_path):
     """MuJoCo's import would fail, or ask for a screen: the command line lets it load no backend."""
     scenario = write_scenario(tmp_path / "scenario", 0.01)
     run = [sys.executable, "-m", "panda_cosim", "run", scenario, "--no-video"]
     environment = {k: v for k, v in os.environ.items() if "DISPLAY" not in k}
-    done = ran(
-        [*map(str, run), "--out", str(tmp_path / "run")], env=environment | {"MUJOCO_GL": "vulkan"}
-    )
+    done = ran([*run, "--out", tmp_path / "run"], env=environment | {"MUJOCO_GL": "vulkan"})
     assert "Warning" not in done.stderr

@@ -124,7 +124,6 @@ def test_each_fmu_is_quoted_with_its_own_words(scenario, tmp_path):
 
 # Keys and values: what scenario.toml says, whether there is a trajectory, and the message.
 
-SIGNAL = '[[success.signal]]\nsignal = "plant.qvel"\nreduce = "peak"\nbelow = 1.0\n'
 BAD_KEYS = [
     ('system = "no.ssp"\n', False, "no.ssp"),
     ('system = "."\n', False, "not a regular file"),
@@ -141,9 +140,6 @@ BAD_KEYS = [
     ('[connect]\n"plant.ctrl" = "controller.qpos_ref"\n', True, "must have the same shape"),
     ('[connect]\n"plant.ctrl" = "controller.ctl"\n', True, "did you mean 'ctrl'"),
     ("[parameters.motor]\nk = 3.0\n", True, "motor"),
-    ("[[success.signal]]\n", True, "signal"),
-    (SIGNAL.replace("1.0", "nan"), True, "below"),
-    (SIGNAL.replace("peak", "duration_above"), True, "level"),
     ('[inputs]\n"plant.push_force" = 1e9\n', True, "[inputs] plant.push_force[1]: "),
 ]
 

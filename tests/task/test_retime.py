@@ -84,9 +84,8 @@ def test_a_rounded_path_has_no_kink(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 6))
     turns = rotations.exp(0.5 * rng.normal(size=(count, 3)))
-    trajectory = Trajectory(
-        np.arange(count, dtype=float), rng.normal(size=(count, 3)), turns, np.zeros(count)
-    )
+    times, places = np.arange(count, dtype=float), rng.normal(size=(count, 3))
+    trajectory = Trajectory(times, places, turns, np.zeros(count))
     (path,) = motions(trajectory, np.full(count, 0.2))
     places = np.linspace(0.0, path.length, 20_001)
     slope = np.diff(path.poses(places), axis=0) / (path.length / 20_000)
@@ -95,7 +94,9 @@ def test_a_rounded_path_has_no_kink(seed):
 
 
 def test_rows_that_exceed_nothing_keep_their_time_and_place(slow):
-    hasty = replace(slow, table=_at_times(slow, (0.0, 1.0, 1.3, 1.5, 2.7)), duration=3.0)
+    timed = zip(slow.table.rows, (0.0, 1.0, 1.3, 1.5, 2.7), strict=True)
+    table = TrajectoryTable(tuple(replace(row, time=time) for row, time in timed))
+    hasty = replace(slow, table=table, duration=3.0)
     made, shares = retime(hasty, SHARE, keep_times=True)
     assert 0.9 * SHARE < max(shares.values()) <= SHARE
     old, new = (np.diff([row.time for row in s.table.rows]) for s in (hasty, made))
@@ -114,11 +115,6 @@ def test_a_recording_has_the_times_of_its_rows_as_they_are_played(slow, fast, tm
     optimal = replace(slow, timing="optimal", timing_share=SHARE)
     run = run_scenario(optimal, tmp_path / "run")
     assert run.recording.metadata["row_times"] == [row.time for row in fast.table.rows]
-
-
-def _at_times(scenario: Scenario, times: tuple[float, ...]) -> TrajectoryTable:
-    rows = zip(scenario.table.rows, times, strict=True)
-    return TrajectoryTable(tuple(replace(row, time=time) for row, time in rows))
 
 
 @pytest.mark.long
@@ -171,16 +167,6 @@ def scenario(*rows: tuple[float, str, tuple[float, float, float]]) -> Scenario:
     return replace(NOMINAL, name="mine", table=table, duration=rows[-1][0] + 0.2)
 
 
-def hasty() -> Scenario:
-    """Return a scenario with one segment that is too fast, between two that are not."""
-    return scenario(
-        (0.0, "home", (0, 0, 0)),
-        (1.0, "home", (0, 0, 0.05)),
-        (1.3, "home", (-0.1, -0.3, 0.05)),
-        (2.5, "home", (0, 0, 0)),
-    )
-
-
 def stretch(scenario: Scenario) -> Scenario:
     return retime(scenario, STRETCHED, keep_times=True)[0]
 
@@ -204,7 +190,8 @@ def test_a_block_far_from_nominal_can_be_had_too():
 
 
 def test_too_fast_a_segment_is_named_with_joint_and_amount():
-    violations, _ = feasibility(hasty())
+    rows = ((0.0, (0, 0, 0)), (1.0, (0, 0, 0.05)), (1.3, (-0.1, -0.3, 0.05)), (2.5, (0, 0, 0)))
+    violations, _ = feasibility(scenario(*((time, "home", place) for time, place in rows)))
     assert {violation.row for violation in violations} == {3}
     worst = violations[0]
     assert worst.joint in range(1, 8)
@@ -212,14 +199,11 @@ def test_too_fast_a_segment_is_named_with_joint_and_amount():
     assert 1.0 < worst.time <= 1.3
 
 
-def test_what_is_out_of_reach_is_named_and_cannot_be_stretched():
+def test_what_is_out_of_reach_is_named_and_cannot_be_stretched_but_a_jump_can():
     far = scenario((0.0, "home", (0, 0, 0)), (1.2, "world", (1.0, 0, 0.5)))
     violations, _ = feasibility(far)
     assert any(violation.quantity == "reach" and violation.row == 2 for violation in violations)
     with pytest.raises(InputError, match=r"^mine: row 2: the hand is .* m off the command"):
         stretch(far)
-
-
-def test_a_jump_between_rows_can_be_stretched():
     jump = scenario((0.0, "home", (0, 0, 0)), (0.001, "home", (0.0, 0.0, -0.2)))
     assert not feasibility(stretch(jump), share=STRETCHED)[0]

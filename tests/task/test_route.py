@@ -74,9 +74,9 @@ def test_what_is_out_of_reach_is_refused(tmp_path, setting, reason):
     assert reason in far.stderr
 
 
-def behind_wall(**values: float) -> Scenario:
+def behind_wall() -> Scenario:
     """The shipped sweep's scenario, whose table is planned."""
-    return load_scenario(Path(str(load_sweep("behind_wall").scenario[0]))).changed(values)
+    return load_scenario(Path(str(load_sweep("behind_wall").scenario[0])))
 
 
 def passes(out: str) -> tuple[bool | None, list[str]]:
@@ -107,10 +107,9 @@ def test_the_shipped_sweeps_of_routes_have_their_blocks_where_they_say(design):
     assert (radius > 0.25).all()
     assert (radius < 0.90).all()
     if design == "behind_wall":  # the wall, 0.3 m wide, crosses the line from block to place
-        block, wall = (
-            np.stack([values[f"plant{what}_pos{i}"] for i in (1, 2)], 1)
-            for what in ("block", "wall")
-        )
+        at = {name: np.stack([values[f"plant{name}_pos{i}"] for i in (1, 2)], 1)
+              for name in ("block", "wall")}  # fmt: skip
+        block, wall = at["block"], at["wall"]
         way = np.array(behind_wall().success.block_position[:2]) - block
         yaw = values["plantwall_yaw"]
         normal = np.stack((np.cos(yaw), np.sin(yaw)), 1)

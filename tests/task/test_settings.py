@@ -194,9 +194,8 @@ def test_numbers_lists_texts_and_switches_become_the_elements_values():
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64, np.array])
 def test_numbers_of_numpy_are_numbers(kind):
     assert expand("controller", CONTROLLER, {"ik_gain": kind(3)}) == {"ik_gain": 3.0}
-    each = expand("controller", CONTROLLER, {"kp": [kind(3)] * 7})
-    assert each == expand("controller", CONTROLLER, {"kp": np.full(7, 3)})
-    assert set(each.values()) == {3.0}
+    for gains in ([kind(3)] * 7, np.full(7, kind(3))):
+        assert set(expand("controller", CONTROLLER, {"kp": gains}).values()) == {3.0}
 
 
 @pytest.mark.parametrize("value", [None, {1.0, 2.0}, {"a": 1}, 1j, np.array([[3.0]]), b"a"])
@@ -249,9 +248,7 @@ def test_a_bad_assignment_is_refused_in_one_line(text):
     assert refused(lambda: PUSHED.changed(values_of([text])))
 
 
-@given(
-    st.text(max_size=40), st.sampled_from(["", "plant.", "fmus.plant=", "inputs.file=", "step="])
-)
+@given(st.text(max_size=40), st.sampled_from(["", "plant.", "fmus.plant=", "step="]))
 def test_no_text_gives_anything_but_an_input_error(text, start):
     with suppress(InputError):
         start_values(PUSHED.changed(values_of([start + text])))

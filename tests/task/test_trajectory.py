@@ -30,6 +30,7 @@ POSITION, QUATERNION, VELOCITY, OMEGA = map(slice, (0, 3, 7, 10), (3, 7, 10, 13)
 GRIP = 13
 
 number = st.floats(-1.0, 1.0)
+offsets = st.tuples(number, number, number)
 quaternions = st.tuples(number, number, number, number).filter(lambda q: np.linalg.norm(q) > 0.1)
 
 
@@ -43,9 +44,7 @@ def trajectories(
     q = np.array(draw(st.lists(quaternions, min_size=n, max_size=n)))
     return Trajectory(
         times=np.concatenate([[0.0], np.cumsum(gaps)]) + draw(st.floats(0.0, 1.0)),
-        positions=np.array(
-            draw(st.lists(st.tuples(number, number, number), min_size=n, max_size=n))
-        ),
+        positions=np.array(draw(st.lists(offsets, min_size=n, max_size=n))),
         orientations=q / np.linalg.norm(q, axis=1, keepdims=True),
         grips=np.array(draw(st.lists(st.floats(0.0, 0.08), min_size=n, max_size=n))),
         interpolation=draw(st.sampled_from(kinds)),
@@ -124,9 +123,8 @@ def test_the_grip_holds_from_its_row_on(trajectory, millis):
 def test_a_tick_that_rounding_puts_before_its_row_belongs_to_the_row():
     row_time = 0.3
     tick = np.nextafter(row_time, 0.0)
-    trajectory = Trajectory(
-        np.array([0.0, row_time, 2.0]), np.eye(3), np.array([DOWN] * 3), np.array([0.08, 0.0, 0.0])
-    )
+    times, grips = np.array([0.0, row_time, 2.0]), np.array([0.08, 0.0, 0.0])
+    trajectory = Trajectory(times, np.eye(3), np.array([DOWN] * 3), grips)
     before, at = trajectory.sample([tick - 1e-6, tick])
     assert before[GRIP] == 0.08
     assert at[GRIP] == 0.0
@@ -134,7 +132,6 @@ def test_a_tick_that_rounding_puts_before_its_row_belongs_to_the_row():
 
 
 yaws = st.floats(-0.78, 0.78)  # rad; the block is square, so more turns are the same
-offsets = st.tuples(number, number, number)
 
 
 @given(st.lists(st.tuples(offsets, st.none() | quaternions), min_size=2, max_size=4), yaws)
@@ -161,13 +158,9 @@ def test_aligned_rows_are_the_same_seen_from_the_block(rows, yaw):
 
 @given(yaws)
 def test_alignment_leaves_world_and_home_rows_alone(yaw):
-    table = TrajectoryTable(
-        (
-            TableRow(0.0, "home", (0.1, 0.2, 0.3), 0.0),
-            TableRow(1.0, "target", (0.1, 0.0, 0.05), 0.0),
-            TableRow(2.0, "world", (0.6, 0.35, 0.4), 0.0),
-        )
-    )
+    places = {"home": (0.1, 0.2, 0.3), "target": (0.1, 0.0, 0.05), "world": (0.6, 0.35, 0.4)}
+    rows = (TableRow(float(k), name, at, 0.0) for k, (name, at) in enumerate(places.items()))
+    table = TrajectoryTable(tuple(rows))
     turned = StartPose(HOME, DOWN, TARGET, yaw)
     aligned = Trajectory.from_table(table, turned, align=True)
     plain = Trajectory.from_table(table, turned, align=False)
