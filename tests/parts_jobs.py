@@ -78,12 +78,12 @@ below = 0.02
 """
 
 
-def write_arm(folder: Path, settings: str = ARM_SCENARIO) -> Path:
+def write_arm(folder: Path) -> Path:
     """Write the scenario of the two-link arm."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.xml").write_text(ARM)
     (folder / "pd.py").write_text(SLAVE)
-    (folder / "scenario.toml").write_text(settings)
+    (folder / "scenario.toml").write_text(ARM_SCENARIO)
     return folder
 
 
@@ -94,9 +94,7 @@ def run_folder(folder: str, out: str, values: dict[str, Any] | None = None) -> d
     return {
         "summary": run.summary.to_dict(),
         "columns": list(recording.columns),
-        "final": {name: float(recording[name][-1]) for name in recording.columns},
         "parameters": {n: dict(p) for n, p in recording.metadata["parameters"].items()},
-        "warnings": list(run.warnings),
     }
 
 
