@@ -78,6 +78,7 @@ class Plant:
         self.output_values, self.outputs = outputs.values, outputs.record
         self._hand = self.model.body("hand").id
         self._block = self.model.body(BLOCK).id
+        self._target = self.model.site("target").id
         self._jac = np.zeros((6, self.model.nv))
         self._jac_parts = self._jac[:3], self._jac[3:]  # linear, angular
         self._inertia = np.zeros((self.model.nv, self.model.nv))
@@ -93,20 +94,23 @@ class Plant:
         self._links = slice(first_link, first_link + len(MOVING_LINKS))
         self._link_forces = self.input_values[-3 * len(MOVING_LINKS) :].reshape(-1, 3)
         self._has_motors = self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE
-        data, target = self.data, self.model.site("target").id
-        self._values = {  # at the instant of qpos, in MuJoCo's memory
+        self.reset()
+
+    def _values(self) -> dict[str, Vector]:
+        """Return the outputs at the instant of qpos, but for sums of contact forces."""
+        data = self.data
+        return {
             "qpos": data.qpos[:16],  # without the rotors of elastic joints
             "qvel": data.qvel[:15],
             "hand_xpos": data.xpos[self._hand],
             "hand_xquat": data.xquat[self._hand],
-            "target_xpos": data.site_xpos[target],
-            "target_xmat": data.site_xmat[target],
+            "target_xpos": data.site_xpos[self._target],
+            "target_xmat": data.site_xmat[self._target],
             "jac": self._jac[:, :7],
             "qfrc_bias": data.qfrc_bias[:7],
             "actuator_force": data.actuator_force,
             "mass_matrix": self._inertia[:7, :7],
         }
-        self.reset()
 
     def reset(self) -> None:
         """Go back to the start: keyframe `home`, with the block where the parameters put it."""
@@ -159,7 +163,7 @@ class Plant:
         mujoco.mj_step1(model, data)
         mujoco.mj_jacBody(model, data, *self._jac_parts, self._hand)
         mujoco.mj_fullM(model, data, self._inertia)
-        for name, value in self._values.items():
+        for name, value in self._values().items():
             self.outputs[name] = value
         self.outputs["contact_force"] = mujoco.mju_dot(self._normals, self._sensors)
         for kind in self.warnings.nonzero()[0].tolist():

@@ -21,6 +21,7 @@ Columns = dict[str, NDArray[np.float64]]
 SCENARIO = "pick_and_place"
 PLACE = (0.60, 0.35, 0.25)  # [m] where that puts the block's centre
 ON_PLACE = 2e-3  # [m] as in the scenario
+SET_OUT = 0.2  # [s] when the arm moves
 GRIPPED = 2.2  # [s] when the fingers hold the block
 TOLERANCE = 1e-4  # [m, rad] between platforms, all the way
 ARM_ROOT = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
@@ -58,11 +59,13 @@ def prefix(tmp_path_factory):
     return tmp_path_factory.mktemp("wine")
 
 
-def recorded(platform: str, fmi: int, folder: Path, prefix: Path) -> Columns:
-    """Build the FMUs and a host for a platform, and couple them to the end."""
+def recorded(
+    platform: str, fmi: int, folder: Path, prefix: Path, until: float | None = None
+) -> Columns:
+    """Build the FMUs and a host for a platform, and couple them until then [s], or to the end."""
     before = runner(platform)
     try:
-        task = unpack_task(SCENARIO, fmi, platform, folder / "fmus")
+        task = unpack_task(SCENARIO, fmi, platform, folder / "fmus", until)
     except CosimError as error:
         pytest.skip(f"MuJoCo's library for {platform} cannot be had: {error}")
     program = folder / ("host.exe" if platform == "win64" else "host")
@@ -80,6 +83,18 @@ def recorded(platform: str, fmi: int, folder: Path, prefix: Path) -> Columns:
 @pytest.fixture(scope="module")
 def here(tmp_path_factory, prefix):
     return recorded("linux64", 2, tmp_path_factory.mktemp("here"), prefix)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="Wine and QEMU are used on Linux")
+@pytest.mark.parametrize(("platform", "fmi"), [("win64", 3), ("linux-arm64", 2)])
+def test_the_arm_sets_out_as_it_does_here(platform, fmi, prefix, tmp_path):
+    (tmp_path / "here").mkdir()
+    here = recorded("linux64", fmi, tmp_path / "here", prefix, SET_OUT)
+    there = recorded(platform, fmi, tmp_path, prefix, SET_OUT)
+    for name in (f"plant.qpos[{i}]" for i in range(1, 17)):
+        np.testing.assert_allclose(there[name], here[name], rtol=0.0, atol=TOLERANCE)
+    assert np.ptp(there["plant.qpos[4]"]) > 100 * TOLERANCE
 
 
 @pytest.mark.long
