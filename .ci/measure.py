@@ -380,7 +380,7 @@ def wire(_: Path | None) -> str:
             f"[client]\ncommand = {command}\n"
         )
         _said([*RUN, "run", folder, "--out", f"{folder}/run", *QUIET])
-        rows = [("panda-cosim", json.loads(result.read_text()))]
+        rows = [_rates("panda-cosim", result)]
         if shutil.which("franky-sim"):
             address = "127.0.0.1"
             line = ["franky-sim", "--simulator", "mujoco", "--hostname", address]
@@ -389,10 +389,14 @@ def wire(_: Path | None) -> str:
                 next(text for text in server.stdout or () if "Press Ctrl+C" in text)
                 _said([sys.executable, str(program), address, str(result)])
                 server.terminate()
-            rows.append(("franky-sim", json.loads(result.read_text())))
-    texts = [(name, *(f"{rate:.0f}" for rate in rates.values())) for name, rates in rows]
-    load = f"Load in the last minute: {os.getloadavg()[0]:.2f}."
-    return f"{_table(['simulator', *rows[0][1]], texts)}\n\n{load}"
+            rows.append(_rates("franky-sim", result))
+    return _table([*rows[0]], [[*row.values()] for row in rows])
+
+
+def _rates(simulator: str, result: Path) -> dict[str, str]:
+    rates = {way: f"{rate:.0f}" for way, rate in json.loads(result.read_text()).items()}
+    load = f"{os.getloadavg()[0]:.2f}"
+    return {"simulator": simulator, **rates, "load in the last minute": load}
 
 
 def engines(_: Path | None) -> str:

@@ -51,6 +51,7 @@ HEADERS: Final = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
 # Errors in a client's request belong into a log, if the user keeps one, not on the terminal.
 LOG: Final = logging.getLogger(__name__)
 LOG.addHandler(logging.NullHandler())
+logging.getLogger("asyncio").setLevel(logging.ERROR)  # it warns of viewers that have gone
 
 
 class LiveServer:
