@@ -25,7 +25,9 @@ from panda_cosim import Recording, Session, load_scenario, run_scenario
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.tubes import distances, widths
 from panda_cosim.study.live.alone import refuse_outside
+from panda_cosim.study.live.criteria import criteria_of
 from panda_cosim.study.live.page import offset_of
+from panda_cosim.task.criteria import SignalCriterion
 from panda_cosim.task.scenario import shipped_scenarios
 from panda_cosim.task.trajectory import COMMANDS
 from refusals import refused
@@ -140,6 +142,16 @@ signal = [
 
 
 @needs_node
+def test_a_criterion_of_what_a_page_has_no_column_of_is_named_alone():
+    """Else the length of nothing, 0, would be below its bound."""
+    length = SignalCriterion(("norm", ("plant.jac", "plant.qpos")), "max", below=1.0, name="length")
+    success = SimpleNamespace(signal=(length,), body=())
+    session: Any = SimpleNamespace(
+        scenario=SimpleNamespace(success=success), numbers=lambda: {"plant.qpos[1]": 0.0}
+    )
+    assert [{*each} for each in criteria_of(session)] == [{"name", "direction", "bound"}]
+
+
 def test_simple_criteria_are_judged_in_the_page_and_the_others_named(tmp_path):
     push = "[[push]]\nforce = [20, 0, 0]\nstart = 0.02\nduration = 0.05\n"
     write_files(tmp_path / "it", f"duration = 0.2\n{push}{JUDGED}")

@@ -43,7 +43,7 @@ def _measure(criterion: SignalCriterion, columns: Sequence[str]) -> dict[str, ob
     parts = [[i for i, column in enumerate(columns) if name in (column, signal_of(column))]
              for name in criterion.names]  # fmt: skip
     is_length = criterion.signal[0] == "norm"
-    is_simple = criterion.reduce in FOLDS and (is_length or len(parts[0]) == 1)
+    is_simple = criterion.reduce in FOLDS and all(parts) and (is_length or len(parts[0]) == 1)
     if not is_simple or (criterion.from_, criterion.to) != ("start", "end"):
         return {}
     columns_of = list(zip_longest(*parts))  # of one, and of what is subtracted from it
