@@ -1,17 +1,20 @@
 """`panda-cosim live` under attack: malformed requests, floods, clients that stall."""
 
+import gc
 import signal
 import socket
 import threading
 import time
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 
 from live_support import Live, asked, live, told, upgrade, viewer, wait_to_act
 from panda_cosim.result.recording import Recording
-from panda_cosim.study.live.server import COMMAND_LIMIT, OPEN_TIME, VIEWERS
+from panda_cosim.study.live.server import COMMAND_LIMIT, OPEN_TIME, VIEWERS, LiveServer
 
 
 @pytest.fixture(scope="module")
@@ -131,3 +134,15 @@ def test_a_flood_does_not_hold_up_the_simulation(server):
     reader.join(20)
     assert rows > 8  # of 75, without a flood
     assert any(isinstance(each, str) and "too many" in each for each in messages)
+
+
+def test_an_ended_server_leaves_no_task_behind(caplog):
+    server = LiveServer(SimpleNamespace(status=dict, plan=dict), "page")  # type: ignore[arg-type]
+    with server.serving():
+        place = urlsplit(server.address)
+        silent = socket.create_connection((place.hostname, place.port), timeout=10)
+        time.sleep(0.1)  # for the server to take it
+    with silent:
+        del server
+        gc.collect()
+    assert caplog.messages == []

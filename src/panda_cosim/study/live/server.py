@@ -78,36 +78,36 @@ class LiveServer:
         thread.start()
         try:
             server = asyncio.run_coroutine_threadsafe(self._listen(), self._loop).result()
-        except OSError as error:
-            place = f"{self._host}:{self._port}"
-            raise InputError(f"cannot listen on {place}: {error.strerror or error}") from None
-        self._port = next(iter(server.sockets)).getsockname()[1]
-        try:
-            yield
+            self._port = next(iter(server.sockets)).getsockname()[1]
+            try:
+                yield
+            finally:
+                asyncio.run_coroutine_threadsafe(_end(server), self._loop).result()
         finally:
-            self._loop.call_soon_threadsafe(server.close)
-            with suppress(TimeoutError):  # clients that do not answer are left without a goodbye
-                closed = asyncio.run_coroutine_threadsafe(server.wait_closed(), self._loop)
-                closed.result(2 * CLOSE_TIME)
             self._loop.call_soon_threadsafe(self._loop.stop)
-            thread.join(5)
+            thread.join()
+            self._loop.close()
 
     async def _listen(self) -> Server:
         self._loop.set_exception_handler(
             lambda _, context: LOG.error(context["message"], exc_info=context.get("exception"))
         )
-        return await serve(
-            self._talk,
-            self._host,
-            self._port,
-            process_request=self._answer,
-            open_timeout=OPEN_TIME,
-            close_timeout=CLOSE_TIME,
-            logger=LOG,
-            max_size=COMMAND_LIMIT,
-            compression=None,
-            server_header=None,
-        )
+        try:
+            return await serve(
+                self._talk,
+                self._host,
+                self._port,
+                process_request=self._answer,
+                open_timeout=OPEN_TIME,
+                close_timeout=CLOSE_TIME,
+                logger=LOG,
+                max_size=COMMAND_LIMIT,
+                compression=None,
+                server_header=None,
+            )
+        except OSError as error:
+            place = f"{self._host}:{self._port}"
+            raise InputError(f"cannot listen on {place}: {error.strerror or error}") from None
 
     # Requests.
 
@@ -180,6 +180,17 @@ class LiveServer:
     def _tell_status(self) -> None:
         for index, viewer in enumerate(self._viewers):
             broadcast([viewer], json.dumps({"status": {**self._status, "acts": index == 0}}))
+
+
+async def _end(server: Server) -> None:
+    """Close a server; clients that do not answer in time are left without a goodbye."""
+    server.close()
+    with suppress(TimeoutError):
+        await asyncio.wait_for(server.wait_closed(), 2 * CLOSE_TIME)
+    left = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in left:
+        task.cancel()
+    await asyncio.gather(*left, return_exceptions=True)
 
 
 def _response(kind: str, body: bytes, more: Mapping[str, str] | None = None) -> Response:
