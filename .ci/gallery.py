@@ -18,11 +18,11 @@ from jinja2 import Template
 from PIL import Image
 
 from panda_cosim import Recording, load_scenario, shipped_scenarios
+from panda_cosim.graphics.pictures.motion import poses, scene_of
+from panda_cosim.graphics.pictures.offscreen import OffscreenRenderer
 from panda_cosim.result.judging.criterion import bound_text, margin_text, quantity
 from panda_cosim.result.judging.summary import Summary
 from panda_cosim.run.prepare import prepare
-from panda_cosim.show.pictures.motion import poses, scene_of
-from panda_cosim.show.pictures.offscreen import OffscreenRenderer
 from panda_cosim.task.client import MissingPackageError
 
 # What the gallery begins with: tasks, then limits. Of each the camera, and the share of the run at

@@ -19,9 +19,9 @@ if TYPE_CHECKING:  # what type checkers know of the names below
     from panda_cosim.fmus.errors import SimulationError as SimulationError
     from panda_cosim.result.recording.reader import Recording as Recording
     from panda_cosim.run.execution import run_scenario as run_scenario
+    from panda_cosim.run.finished import Run as Run
     from panda_cosim.run.options import Options as Options
     from panda_cosim.run.replay import replay as replay
-    from panda_cosim.run.result import Run as Run
     from panda_cosim.run.session import Session as Session
     from panda_cosim.study.analysis.loops import Analysis as Analysis
     from panda_cosim.study.analysis.loops import analyze as analyze
@@ -46,7 +46,7 @@ _NAMES = {
     "result.recording.reader": "Recording",
     "run.options": "Options",
     "run.replay": "replay",
-    "run.result": "Run",
+    "run.finished": "Run",
     "run.execution": "run_scenario",
     "run.session": "Session",
     "task.criteria": "SignalCriterion Success",

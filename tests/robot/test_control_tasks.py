@@ -12,8 +12,8 @@ from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.presets import preset
 from panda_cosim.result.judging.advice import weakest_grip
 from panda_cosim.result.judging.limits import largest_share
+from panda_cosim.run.finished import Run
 from panda_cosim.run.prepare import prepare
-from panda_cosim.run.result import Run
 from panda_cosim.study.check.diagnosis import rehearse
 from panda_cosim.task.rotations import Array
 from random_tasks import random_tasks, run_in_memory, run_plain

@@ -15,7 +15,7 @@ from forked import command
 from panda_cosim import Recording, compare
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.summary import Summary
-from panda_cosim.run.result import Run
+from panda_cosim.run.finished import Run
 from panda_cosim.study.compare.wording import numbers
 from refusals import refused
 from regress_support import CONTENT, columns, record

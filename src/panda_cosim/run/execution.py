@@ -22,13 +22,13 @@ from ..task.typed import typed
 from ..task.values import Values
 from .client import Client, addressed
 from .exits import exit_guard
+from .finished import Run
 from .folder import claimed_folder
 from .inputs import Inputs
 from .journal import Action, Adjustments, End
 from .options import Options
 from .output import Output
 from .prepare import Prepared, prepare
-from .result import Run
 from .stopping import StopRequest, stopping_on_signals
 
 Progress = Callable[[int, int], None]  # completed and total steps

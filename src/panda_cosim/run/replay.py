@@ -10,11 +10,11 @@ from ..fmus.errors import located
 from ..task.fields import Whole
 from ..task.scenario import Scenario
 from ..task.typed import typed
+from .finished import Run
 from .folder import SCENARIO_FOLDER
 from .journal import Adjustments, End, Journal
 from .options import Options
 from .prepare import Prepared
-from .result import Run
 from .session import Session
 
 

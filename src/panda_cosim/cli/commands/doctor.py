@@ -174,13 +174,13 @@ def _cache() -> str:
 
 
 def _opengl() -> str:
-    from ...show.pictures.offscreen import describe_gl  # noqa: PLC0415 - numpy may be missing
+    from ...graphics.pictures.offscreen import describe_gl  # noqa: PLC0415 - numpy may be missing
 
     return describe_gl()
 
 
 def _ffmpeg() -> str:
-    from ...show.pictures.video import find_ffmpeg  # noqa: PLC0415 - numpy may be missing
+    from ...graphics.pictures.video import find_ffmpeg  # noqa: PLC0415 - numpy may be missing
 
     return find_ffmpeg()
 

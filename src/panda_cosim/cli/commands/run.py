@@ -10,9 +10,9 @@ from ...fmus.errors import InputError
 from ...fmus.master.step import Coupling, Stepper
 from ...fmus.sources.targets import Kind
 from ...run.execution import Execution, Progress
+from ...run.finished import Run
 from ...run.options import Options
 from ...run.prepare import prepare
-from ...run.result import Run
 from ...run.stopping import stopping_on_signals
 from ...run.system.assembly import system_scenario, with_parameter_set
 from ...task.scenario import Scenario

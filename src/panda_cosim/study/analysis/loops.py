@@ -13,10 +13,10 @@ import numpy as np
 from ...fmus.errors import InputError
 from ...result.judging.signals import time_of
 from ...run.execution import Execution
+from ...run.finished import html
 from ...run.inputs import Inputs
 from ...run.options import Options
 from ...run.prepare import Prepared, prepare
-from ...run.result import html
 from ...task.criteria import check_instant, check_within
 from ...task.scenario import Scenario, load_scenario
 from ...task.typed import typed
@@ -28,7 +28,7 @@ from .state_space import COLUMNS, FIT, ROWS, realised, system
 if TYPE_CHECKING:
     import control
 
-    from ...show.pictures.canvas import ShownFigure
+    from ...graphics.pictures.canvas import ShownFigure
 
 
 @dataclass(frozen=True, eq=False)

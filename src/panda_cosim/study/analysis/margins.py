@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from ...fmus.master.wiring import Array
-from ...run.result import html
+from ...run.finished import html
 from .responses import ENOUGH, Responses
 from .sensitivity import Limits, disk_margin, limits
 

@@ -29,9 +29,9 @@ from ...result.judging.advice import Level, advise, refusals, weakest_grip
 from ...result.judging.verdicts import MISSED, NOT_MEASURED, UNEXPECTED
 from ...result.recording.reader import shapes_of
 from ...run.execution import Execution
+from ...run.finished import Run
 from ...run.folder import model_in
 from ...run.prepare import Prepared, prepare
-from ...run.result import Run
 from ...run.start import (
     StartValues,
     carried_mass,

@@ -23,7 +23,7 @@ from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...result.recording.logs import is_log, open_log
 from ...result.recording.reader import run_names
-from ...run.result import Run
+from ...run.finished import Run
 from ...task.typed import typed
 from . import differences
 from .differences import Extent, SignalRow
@@ -155,7 +155,7 @@ class RunComparison:
         return render(_page(self))
 
     def _repr_html_(self) -> str:
-        from ...show.view.page import Inline  # noqa: PLC0415 - only in a notebook
+        from ...graphics.view.page import Inline  # noqa: PLC0415 - only in a notebook
 
         return Inline(self.to_html(), 640)._repr_html_()
 
@@ -282,7 +282,7 @@ def _curve(time: Array, run: Recording, name: str) -> Array:
 
 def _view(comparison: RunComparison) -> tuple[list[Part], str]:
     """Show the run that differs most in 3D, with the first one as a ghost; with their data."""
-    from ...show.view.page import show_source  # noqa: PLC0415 - slow to import
+    from ...graphics.view.page import show_source  # noqa: PLC0415 - slow to import
     from .views import Views  # noqa: PLC0415 - slow to import
 
     if not comparison.signals:

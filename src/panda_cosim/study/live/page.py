@@ -16,14 +16,14 @@ from ...fmus.errors import InputError, one_line
 from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.master.step import SWITCHED
 from ...fmus.sources.model_fmu import load
+from ...graphics.view.facts import CURVES, column_bounds, shown_curves
+from ...graphics.view.model import describe as describe_model
+from ...graphics.view.page import live_page
+from ...graphics.view.run import ROLES
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
 from ...run.folder import SCENARIO_FOLDER
 from ...run.session import Session
-from ...show.view.facts import CURVES, column_bounds, shown_curves
-from ...show.view.model import describe as describe_model
-from ...show.view.page import live_page
-from ...show.view.run import ROLES
 from ...task.files import MODEL_FILE
 from ...task.rotations import about_z, rotate
 from ...task.tolerances import signal_of

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import InputError
+from ...graphics.view.page import VIEW_FILE, shown_run, write_view
 from ...result.judging.summary import SUMMARY_FILE
 from ...run.execution import run_scenario
 from ...run.folder import SCENARIO_FOLDER, refuse_existing
-from ...show.view.page import VIEW_FILE, shown_run, write_view
 from ...task.scenario import Scenario
 from ..compare.causes import models_of
 from ..compare.reference import REFERENCE_FILE, Reference

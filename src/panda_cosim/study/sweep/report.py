@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from ...fmus.atomic import write_whole
 from ...fmus.errors import legible, printable
-from ...result.judging.definitions import DEFINITIONS, Definition
-from ...result.judging.summary import SUMMARY_FILE
-from ...show.view.page import (
+from ...graphics.view.page import (
     TITLE,
     VIEW_FILE,
     data_element,
@@ -27,6 +25,8 @@ from ...show.view.page import (
     shown_run,
     write_view,
 )
+from ...result.judging.definitions import DEFINITIONS, Definition
+from ...result.judging.summary import SUMMARY_FILE
 from ..compare.wording import unit_of
 from .definition import SAMPLED
 from .results import Results, heat_map, influences, marginal, missing, share_bounds

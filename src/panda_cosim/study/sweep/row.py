@@ -20,10 +20,10 @@ from ...fmus.interface.parameters import ParameterValue
 from ...result.judging.summary import Summary
 from ...result.judging.verdicts import VERDICTS
 from ...run.execution import Execution
+from ...run.finished import Run
 from ...run.folder import write_files
 from ...run.options import Options
 from ...run.prepare import prepare
-from ...run.result import Run
 from ...run.stopping import StopRequest
 from ..work import processor
 from .packed import Loaded, read_files, unpack
