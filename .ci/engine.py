@@ -22,9 +22,9 @@ from tempfile import TemporaryDirectory
 from panda_cosim.fmus.build.engines import made_with
 from panda_cosim.fmus.build.libraries import PLACES, SOURCES, compile_library, licences
 from panda_cosim.fmus.build.platforms import PAGE
-from panda_cosim.graphics.view.page import ENGINE, NOTICE
+from panda_cosim.result.view.page import ENGINE, NOTICE
 
-SOURCE = Path(__file__).parents[1] / "src/panda_cosim/graphics/view/source"
+SOURCE = Path(__file__).parents[1] / "src/panda_cosim/result/view/source"
 # What the page calls, besides what FMUs call.
 CALLED = (
     "malloc", "free", "mj_parseXMLString", "mj_compile", "mjs_getError", "mj_sizeModel",
@@ -65,7 +65,7 @@ def main() -> None:
     """Write the file, or say what differs."""
     made = modules()
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in made.items()}
-    place = Path(__file__).parents[1] / "src/panda_cosim/graphics/view/page" / ENGINE
+    place = Path(__file__).parents[1] / "src/panda_cosim/result/view/page" / ENGINE
     if "--check" in sys.argv:
         there = json.loads(place.read_text(encoding="utf-8"))
         other = [name for name in digests if there[name]["sha256"] != digests[name]]

@@ -18,10 +18,10 @@ from jinja2 import Template
 from PIL import Image
 
 from panda_cosim import Recording, load_scenario, shipped_scenarios
-from panda_cosim.graphics.pictures.motion import poses, scene_of
-from panda_cosim.graphics.pictures.offscreen import OffscreenRenderer
 from panda_cosim.result.judging.criterion import bound_text, margin_text, quantity
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.pictures.motion import poses, scene_of
+from panda_cosim.result.pictures.offscreen import OffscreenRenderer
 from panda_cosim.run.prepare import prepare
 from panda_cosim.task.client import MissingPackageError
 

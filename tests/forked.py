@@ -31,7 +31,7 @@ _context = get_context("forkserver")
 _context.set_forkserver_preload([
     "pytest", "numpy", "mujoco", "pyarrow.parquet", "fmpy", "scipy.optimize", "scipy.stats",
     "matplotlib.backends.backend_agg", "control", "panda_cosim.fmus.sources.targets",
-    "panda_cosim.graphics.pictures.plot",
+    "panda_cosim.result.pictures.plot",
     *(f"panda_cosim.cli.commands.{name}" for name in COMMANDS if name not in ELSEWHERE),
 ])  # fmt: skip
 

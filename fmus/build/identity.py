@@ -14,7 +14,7 @@ from ..errors import CosimError
 from ..twins import ROOT
 
 # What no FMU depends on, as the contracts on imports have it above: all else is hashed.
-ABOVE: Final = ("cli", "study", "run", "graphics", "result", "task", "fmus/master")
+ABOVE: Final = ("cli", "study", "run", "result", "task", "fmus/master")
 _MADE: Final = (".pyc", ".bin")  # made from what is hashed
 _NOT_OURS: Final = ("__pycache__", "node_modules")  # folders
 

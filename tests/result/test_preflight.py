@@ -17,10 +17,10 @@ from panda_cosim import Recording, Scenario, TableRow, TrajectoryTable, load_sce
 from panda_cosim.assets.checks import CHECKS
 from panda_cosim.assets.franka import HOME_Q
 from panda_cosim.controller.model import ArmModel
-from panda_cosim.graphics.view import run
 from panda_cosim.result.judging.advice import refusals
 from panda_cosim.result.judging.preflight import preflight
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.view import run
 from panda_cosim.study.sweep.row import metrics
 from panda_cosim.task.rotations import Array
 from random_tasks import run_in_memory

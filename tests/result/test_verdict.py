@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 
 from panda_cosim import InputError, Run, SimulationError, compare, load_scenario
 from panda_cosim.cli import outcome as door
-from panda_cosim.graphics.view.facts import criteria_of, limits_of, refusals_of
-from panda_cosim.graphics.view.run import Shown, describe
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
 from panda_cosim.result.judging.verdicts import INCOMPLETE, VERDICTS
+from panda_cosim.result.view.facts import criteria_of, limits_of, refusals_of
+from panda_cosim.result.view.run import Shown, describe
 from panda_cosim.study.compare import outcome as outcomes
 from panda_cosim.study.compare import regress
 from panda_cosim.study.compare.junit import write_junit

@@ -10,9 +10,9 @@ from control_support import hold, started
 from panda_cosim import Push, Scenario, Session, SignalCriterion, Success, load_scenario
 from panda_cosim.controller.controller import Controller
 from panda_cosim.controller.gains import Gains
-from panda_cosim.graphics.pictures.motion import key_moments
 from panda_cosim.result.judging.advice import refusals
 from panda_cosim.result.judging.holds import COLLISION
+from panda_cosim.result.pictures.motion import key_moments
 from random_tasks import run_in_memory
 
 PATH = replace(load_scenario("push"), push=())  # m; it moves until 1.2 s

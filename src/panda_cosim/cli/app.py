@@ -20,7 +20,7 @@ from typer.main import get_command
 
 from ..fmus.errors import CosimError, InputError, did_you_mean, excerpt
 from ..fmus.twins import notice
-from ..graphics.pictures.gl import load_no_backend
+from ..result.pictures.gl import load_no_backend
 from . import INTERRUPTS, ending, exit_code, startup
 from .commands import COMMANDS, ELSEWHERE, EPILOG, RULES
 from .console import complain, show, warn

@@ -21,13 +21,13 @@ from rich.text import Text
 from ..fmus.atomic import check_replaceable
 from ..fmus.errors import CosimError, InputError, SimulationError
 from ..fmus.sources.targets import Kind, Target
-from ..graphics.pictures.gl import RenderError
-from ..graphics.pictures.motion import position_columns
 from ..result.judging.advice import advise, refusals
 from ..result.judging.criterion import cells
 from ..result.judging.summary import Summary
 from ..result.judging.verdict import Verdict
 from ..result.judging.verdicts import FAILED
+from ..result.pictures.gl import RenderError
+from ..result.pictures.motion import position_columns
 from ..result.recording import Recording
 from ..run.finished import PLOT_FILE, VIDEO_FILE, Run
 from ..run.folder import claimed_folder
@@ -107,7 +107,7 @@ def _get_ready(view: bool, values: Mapping[str, object] | None) -> None:
     import_module("rich.table")
     import_module("pyarrow.parquet")
     if view:
-        page = import_module("..graphics.view.page", __package__)
+        page = import_module("..result.view.page", __package__)
         if values is not None:
             page.plant_model({"parameters": values})
 
@@ -153,7 +153,7 @@ def draw_view(output: Output, done: Run) -> None:
     """Write the page of a run, unless it is there; that it cannot be drawn is a warning."""
     if not output.view or done.signal or not _is_drawable(done):
         return
-    from ..graphics.view.page import VIEW_FILE, write_view  # noqa: PLC0415 - slow to import
+    from ..result.view.page import VIEW_FILE, write_view  # noqa: PLC0415 - slow to import
 
     path = done.folder / VIEW_FILE
     if not path.exists():
@@ -251,7 +251,7 @@ def _speed_line(summary: Summary) -> str:
 
 def draw_video(recording: Recording, folder: Path, **look: Any) -> Path:
     """Draw the video into a folder; for `look`, see `render_video`."""
-    from ..graphics.pictures.video import render_video  # noqa: PLC0415 - imports mediapy
+    from ..result.pictures.video import render_video  # noqa: PLC0415 - imports mediapy
 
     with progress("Drawing the video (--no-video skips it)") as update:
         return render_video(recording, folder / VIDEO_FILE, progress=update, **look)

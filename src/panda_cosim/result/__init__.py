@@ -1,1 +1,1 @@
-"""What came of it: recordings and verdicts."""
+"""What came of it, and how it looks: recordings and verdicts, pages and pictures."""

@@ -17,9 +17,9 @@ from ..result.recording import Recording
 from ..task.typed import typed
 
 if TYPE_CHECKING:
-    from ..graphics.pictures.canvas import ShownFigure
-    from ..graphics.view.page import Inline
-    from ..graphics.view.run import Shown
+    from ..result.pictures.canvas import ShownFigure
+    from ..result.view.page import Inline
+    from ..result.view.run import Shown
 
 PLOT_FILE: Final = "plot.png"
 FIGURE_FILE: Final = "figure.png"
@@ -110,7 +110,7 @@ class Run:
         Raises:
             InputError: A signal is not recorded, or a file cannot be written.
         """
-        from ..graphics.pictures.plot import draw, save  # noqa: PLC0415 - matplotlib takes its time
+        from ..result.pictures.plot import draw, save  # noqa: PLC0415 - matplotlib takes its time
 
         runs = [run.recording for run in (self, *against)]
         figure = draw(runs, self.summary, signals, width)
@@ -125,7 +125,7 @@ class Run:
             path: Where to; None: `video.mp4` in the run's folder.
             camera: Name of a camera of the scene.
         """
-        from ..graphics.pictures.video import render_video  # noqa: PLC0415 - slow to import
+        from ..result.pictures.video import render_video  # noqa: PLC0415 - slow to import
 
         path = path or self.folder / VIDEO_FILE
         return Video(render_video(self.recording, path, camera=camera))
@@ -136,7 +136,7 @@ class Run:
         Args:
             path: Where to; None: `contact_sheet.png` in the run's folder.
         """
-        from ..graphics.pictures.sheet import contact_sheet  # noqa: PLC0415 - slow to import
+        from ..result.pictures.sheet import contact_sheet  # noqa: PLC0415 - slow to import
 
         return Picture(contact_sheet(self.recording, path or self.folder / SHEET_FILE))
 
@@ -157,7 +157,7 @@ class Run:
         Args:
             name: Its name on the page; None: the folder's.
         """
-        from ..graphics.view.page import show_source  # noqa: PLC0415 - slow to import
+        from ..result.view.page import show_source  # noqa: PLC0415 - slow to import
 
         name = name or self.folder.resolve().name
         return show_source(self.recording, name, summary=self.summary)
@@ -169,7 +169,7 @@ class Run:
             against: Another run, shown as a ghost.
             height: Of the page in the notebook [px].
         """
-        from ..graphics.view.page import Inline, view_page  # noqa: PLC0415 - slow to import
+        from ..result.view.page import Inline, view_page  # noqa: PLC0415 - slow to import
 
         runs = [self.shown("run" if against else None)]
         if against is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from ...fmus.atomic import MARK, check_replaceable, replacing, write_whole
-from ...graphics.pictures.plot import own_style
+from ...result.pictures.plot import own_style
 from ...study.analysis.confirm import REFUTED
 from ...study.analysis.loops import Analysis, analyze
 from ...study.analysis.margins import HEADS, shown

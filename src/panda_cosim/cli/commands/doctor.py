@@ -174,13 +174,13 @@ def _cache() -> str:
 
 
 def _opengl() -> str:
-    from ...graphics.pictures.offscreen import describe_gl  # noqa: PLC0415 - numpy may be missing
+    from ...result.pictures.offscreen import describe_gl  # noqa: PLC0415 - numpy may be missing
 
     return describe_gl()
 
 
 def _ffmpeg() -> str:
-    from ...graphics.pictures.video import find_ffmpeg  # noqa: PLC0415 - numpy may be missing
+    from ...result.pictures.video import find_ffmpeg  # noqa: PLC0415 - numpy may be missing
 
     return find_ffmpeg()
 

@@ -22,7 +22,7 @@ from ...fmus.master.order import by_variable, late, stepping_order
 from ...fmus.master.order import shown as order_line
 from ...fmus.sources.model_fmu import load
 from ...fmus.sources.targets import ONLY_PYTHON, OWN, Target
-from ...graphics.view.model import describe
+from ...result.view.model import describe
 from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.scenario import SCENARIO_FILE, Scenario

@@ -7,16 +7,16 @@ from pathlib import Path
 
 from ...fmus.atomic import check_replaceable
 from ...fmus.errors import InputError
-from ...graphics.pictures.motion import position_columns
-from ...graphics.pictures.plot import draw, save
-from ...graphics.pictures.sheet import contact_sheet
-from ...graphics.pictures.video import check_video
-from ...graphics.view.mcap import MCAP, write_mcap
-from ...graphics.view.page import VIEW_FILE, shown_run, write_view
-from ...graphics.view.run import Shown
 from ...result.judging.summary import Summary
+from ...result.pictures.motion import position_columns
+from ...result.pictures.plot import draw, save
+from ...result.pictures.sheet import contact_sheet
+from ...result.pictures.video import check_video
 from ...result.recording import Recording
 from ...result.recording.logs import is_log, open_log
+from ...result.view.mcap import MCAP, write_mcap
+from ...result.view.page import VIEW_FILE, shown_run, write_view
+from ...result.view.run import Shown
 from ...run.finished import FIGURE_FILE, PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference

@@ -28,7 +28,7 @@ from .state_space import COLUMNS, FIT, ROWS, realised, system
 if TYPE_CHECKING:
     import control
 
-    from ...graphics.pictures.canvas import ShownFigure
+    from ...result.pictures.canvas import ShownFigure
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ...graphics.pictures.panels import COLOURS, DPI, GREY
-from ...graphics.pictures.plot import own_style
+from ...result.pictures.panels import COLOURS, DPI, GREY
+from ...result.pictures.plot import own_style
 from .margins import TABLES, Measured, frequencies, steps
 
 if TYPE_CHECKING:
-    from ...graphics.pictures.canvas import ShownFigure
+    from ...result.pictures.canvas import ShownFigure
 
 WIDTH: Final = 1.0  # of the last joint's line; those before are wider, and seen beneath it
 WIDER: Final = 0.55
@@ -24,7 +24,7 @@ LETTERS: Final = 24  # of a case's name beneath its bars
 def draw_analyses(cases: Mapping[str, Measured]) -> ShownFigure:
     """Return a figure of analyses by name: one by joint, several in a colour each."""
     with own_style():
-        from ...graphics.pictures.canvas import ShownFigure  # noqa: PLC0415 - slow to import
+        from ...result.pictures.canvas import ShownFigure  # noqa: PLC0415 - slow to import
 
         figure = ShownFigure(figsize=(17, 8.6), dpi=DPI, facecolor="white")
         axes = figure.subplots(2, 3)

@@ -155,7 +155,7 @@ class RunComparison:
         return render(_page(self))
 
     def _repr_html_(self) -> str:
-        from ...graphics.view.page import Inline  # noqa: PLC0415 - only in a notebook
+        from ...result.view.page import Inline  # noqa: PLC0415 - only in a notebook
 
         return Inline(self.to_html(), 640)._repr_html_()
 
@@ -282,7 +282,7 @@ def _curve(time: Array, run: Recording, name: str) -> Array:
 
 def _view(comparison: RunComparison) -> tuple[list[Part], str]:
     """Show the run that differs most in 3D, with the first one as a ghost; with their data."""
-    from ...graphics.view.page import show_source  # noqa: PLC0415 - slow to import
+    from ...result.view.page import show_source  # noqa: PLC0415 - slow to import
     from .views import Views  # noqa: PLC0415 - slow to import
 
     if not comparison.signals:

@@ -65,7 +65,7 @@ def _numbered(name: str, values: Any) -> Elements:
 
 def models_of(scenario: Scenario, recording: Recording) -> dict[str, Elements]:
     """Return the models of a scenario's FMUs, by instance, as its MuJoCo compiles them now."""
-    from ...graphics.view.page import plant_parameters  # noqa: PLC0415 - as above
+    from ...result.view.page import plant_parameters  # noqa: PLC0415 - as above
 
     fmus, own = assemble(scenario).system.fmus, None
     if not scenario.system and "plant" not in scenario.fmus:

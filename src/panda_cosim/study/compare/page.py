@@ -18,7 +18,7 @@ import numpy as np
 
 from ...assets.fields import Array
 from ...fmus.errors import TEXT_LENGTH, legible, shown
-from ...graphics.thinning import drawn_rows
+from ...result.thinning import drawn_rows
 from ...task.tolerances import signal_of
 from .wording import multiple
 
@@ -92,7 +92,7 @@ class Page:
 
 def render(page: Page) -> str:
     """Return the page as HTML."""
-    from ...graphics.view.page import document, rendered  # noqa: PLC0415 - slow to import
+    from ...result.view.page import document, rendered  # noqa: PLC0415 - slow to import
 
     body = rendered(
         TEMPLATE, page=page, shown=shown, bar_length=bar_length, short_share=short_share

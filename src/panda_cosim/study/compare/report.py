@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from ...fmus.atomic import write_whole
-from ...graphics.view.page import shown_run
-from ...graphics.view.run import Shown
 from ...result.judging.criterion import cells
 from ...result.recording import Recording
+from ...result.view.page import shown_run
+from ...result.view.run import Shown
 from ...run.output import versions
 from ...task.values import Values
 from .against_reference import Comparison, Deviation, matching_rows

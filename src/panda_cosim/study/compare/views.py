@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import InputError
-from ...graphics.view.columns import Json
-from ...graphics.view.facts import CURVES
-from ...graphics.view.page import Document, contents, data_elements, show_source
-from ...graphics.view.run import ROLES, Shown
 from ...result.recording import Recording
+from ...result.view.columns import Json
+from ...result.view.facts import CURVES
+from ...result.view.page import Document, contents, data_elements, show_source
+from ...result.view.run import ROLES, Shown
 from ...task.scenario import shipped_scenarios
 from .page import Part
 from .reference import REFERENCE_FILE, Reference

@@ -3,5 +3,5 @@
 `simulation` steps a `Session` in real time and carries out commands between two rows,
 `server` serves the page and carries rows and commands, `page` makes the page. `alone` and
 `criteria` are for a page that simulates by itself. The pages' own code is in
-`src/panda_cosim/graphics/view/source/src`, in `live` and `engine`.
+`src/panda_cosim/result/view/source/src`, in `live` and `engine`.
 """

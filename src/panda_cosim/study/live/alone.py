@@ -1,4 +1,4 @@
-"""What a page needs to simulate a prepared run by itself, in graphics/view/source/src/engine.
+"""What a page needs to simulate a prepared run by itself, in result/view/source/src/engine.
 
 The page has plant and controller of `fmus/native` as modules, and MuJoCo in its own version. Here
 are their tables of variables, with the scenario's start values, their models as MJCF, how they are

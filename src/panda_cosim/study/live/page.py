@@ -16,12 +16,12 @@ from ...fmus.errors import InputError, one_line
 from ...fmus.interface.plant import FORCE_MAX, FORCES
 from ...fmus.master.step import SWITCHED
 from ...fmus.sources.model_fmu import load
-from ...graphics.view.facts import CURVES, column_bounds, shown_curves
-from ...graphics.view.model import describe as describe_model
-from ...graphics.view.page import live_page
-from ...graphics.view.run import ROLES
 from ...plant.parameters import PlantParameters
 from ...plant.scene import load_scene
+from ...result.view.facts import CURVES, column_bounds, shown_curves
+from ...result.view.model import describe as describe_model
+from ...result.view.page import live_page
+from ...result.view.run import ROLES
 from ...run.folder import SCENARIO_FOLDER
 from ...run.session import Session
 from ...task.files import MODEL_FILE

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ...fmus.atomic import cache_folder, temporary_folder
 from ...fmus.errors import InputError
-from ...graphics.view.page import VIEW_FILE, shown_run, write_view
 from ...result.judging.summary import SUMMARY_FILE
+from ...result.view.page import VIEW_FILE, shown_run, write_view
 from ...run.execution import run_scenario
 from ...run.folder import SCENARIO_FOLDER, refuse_existing
 from ...task.scenario import Scenario

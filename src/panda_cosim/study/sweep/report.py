@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from ...fmus.atomic import write_whole
 from ...fmus.errors import legible, printable
-from ...graphics.view.page import (
+from ...result.judging.definitions import DEFINITIONS, Definition
+from ...result.judging.summary import SUMMARY_FILE
+from ...result.view.page import (
     TITLE,
     VIEW_FILE,
     data_element,
@@ -25,8 +27,6 @@ from ...graphics.view.page import (
     shown_run,
     write_view,
 )
-from ...result.judging.definitions import DEFINITIONS, Definition
-from ...result.judging.summary import SUMMARY_FILE
 from ..compare.wording import unit_of
 from .definition import SAMPLED
 from .results import Results, heat_map, influences, marginal, missing, share_bounds

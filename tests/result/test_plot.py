@@ -16,10 +16,10 @@ from panda_cosim.assets.franka import QD_MAX, QDDD_MAX
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.fmus.interface.tables import INTERFACES
-from panda_cosim.graphics.pictures.panels import DPI, ROWS_DRAWN, read_curves
-from panda_cosim.graphics.pictures.plot import SIZE, VERDICTS, draw, draw_run, draw_signals, save
-from panda_cosim.graphics.thinning import drawn_rows
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.pictures.panels import DPI, ROWS_DRAWN, read_curves
+from panda_cosim.result.pictures.plot import SIZE, VERDICTS, draw, draw_run, draw_signals, save
+from panda_cosim.result.thinning import drawn_rows
 from refusals import refused
 
 PEAK = 0.0125  # [m] error of one row of the made-up run

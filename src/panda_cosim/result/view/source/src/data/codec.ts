@@ -1,4 +1,4 @@
-// Decodes columns of numbers; src/panda_cosim/graphics/view/columns.py encodes them.
+// Decodes columns of numbers; src/panda_cosim/result/view/columns.py encodes them.
 import type { Block, TimeData } from "./types.ts";
 
 /** Undo base64 and deflate. */

@@ -21,12 +21,12 @@ from bounded import ran
 from fake_recording import FakeRecording
 from forked import command
 from panda_cosim import InputError, Recording, shipped_scenarios
-from panda_cosim.graphics.thinning import ALL_ROWS, POSES, STRETCHES, Thinning
-from panda_cosim.graphics.view import columns, run
-from panda_cosim.graphics.view.columns import encode
-from panda_cosim.graphics.view.model import describe as describe_model
-from panda_cosim.graphics.view.run import Shown, describe
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.thinning import ALL_ROWS, POSES, STRETCHES, Thinning
+from panda_cosim.result.view import columns, run
+from panda_cosim.result.view.columns import encode
+from panda_cosim.result.view.model import describe as describe_model
+from panda_cosim.result.view.run import Shown, describe
 from regress_support import columns as one_joint
 from regress_support import record
 from view_support import MODEL, decoded, run_scenario_outside
@@ -169,7 +169,7 @@ def test_columns_of_different_units_are_not_in_one_plot():
 # The built page code is what its source says: rebuilt to the same code, and tested.
 
 
-VIEW = Path(__file__).parents[2] / "src" / "panda_cosim" / "graphics" / "view"
+VIEW = Path(__file__).parents[2] / "src" / "panda_cosim" / "result" / "view"
 BUILT = ("LICENSES.txt", "code.json", "differences.css", "sweep.css", "view.css")
 
 

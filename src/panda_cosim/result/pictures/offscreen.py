@@ -30,7 +30,7 @@ Image = NDArray[np.uint8]
 Draw = Callable[[Any], bytes]
 """From positions qpos (nq,) to an image (height, width, 3)."""
 
-PROCESS: Final = "panda_cosim.graphics.pictures.offscreen"
+PROCESS: Final = "panda_cosim.result.pictures.offscreen"
 
 
 class OffscreenRenderer:

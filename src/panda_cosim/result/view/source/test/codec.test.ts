@@ -4,7 +4,7 @@ import { deflateSync } from "node:zlib";
 import { decode, decodeTime } from "../src/data/codec.ts";
 import { between, mix, rowAt } from "../src/data/lookup.ts";
 
-/** Pack as src/panda_cosim/graphics/view/columns.py does. */
+/** Pack as src/panda_cosim/result/view/columns.py does. */
 function pack(columns: number[][]): string {
   const differences = columns.flatMap((column) => {
     const first = column.map((value, row) => value - (column[row - 1] ?? 0));

@@ -1,4 +1,4 @@
-// Data of models and runs in a page, as src/panda_cosim/graphics/view/model.py and run.py write it.
+// Data of models and runs in a page, as src/panda_cosim/result/view/model.py and run.py write it.
 
 /** Encoded columns of numbers; see codec.ts. */
 export interface Block {

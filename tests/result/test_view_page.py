@@ -18,13 +18,13 @@ from browser import Page, find_browser
 from crafted_texts import CRAFTED, HEBREW, HIDDEN, ODD
 from fake_recording import FakeRecording
 from panda_cosim import Recording
-from panda_cosim.graphics.view.model import describe as describe_model
-from panda_cosim.graphics.view.page import show_source, shown_run, write_view
-from panda_cosim.graphics.view.run import Shown
 from panda_cosim.plant.parameters import PlantParameters
 from panda_cosim.plant.scene import load_scene
 from panda_cosim.result.judging.definitions import DEFINITIONS
 from panda_cosim.result.judging.summary import Summary
+from panda_cosim.result.view.model import describe as describe_model
+from panda_cosim.result.view.page import show_source, shown_run, write_view
+from panda_cosim.result.view.run import Shown
 from view_support import MODEL, run_scenario_outside
 
 PLACE_TOLERANCE = 5e-6  # [m] of a body in the page

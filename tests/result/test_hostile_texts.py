@@ -31,10 +31,10 @@ from panda_cosim.fmus.build.description import Layout, documentation, members
 from panda_cosim.fmus.build.native import NativeFmu
 from panda_cosim.fmus.errors import TEXT_LENGTH, legible, printable
 from panda_cosim.fmus.interface.sensors import SENSORS
-from panda_cosim.graphics.view.model import describe
-from panda_cosim.graphics.view.page import Inline, live_page
 from panda_cosim.result.judging.criterion import Criterion
 from panda_cosim.result.judging.summary import SUMMARY_FILE, Summary
+from panda_cosim.result.view.model import describe
+from panda_cosim.result.view.page import Inline, live_page
 from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.junit import Case, write_cases
 from panda_cosim.study.compare.outcome import Outcome

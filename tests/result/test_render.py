@@ -21,19 +21,19 @@ from fault_support import write_scenario
 from forked import command
 from panda_cosim import InputError, Recording
 from panda_cosim.fmus.atomic import check_replaceable
-from panda_cosim.graphics.pictures import gl
-from panda_cosim.graphics.pictures.gl import RenderError
-from panda_cosim.graphics.pictures.motion import (
+from panda_cosim.result.judging.holds import events, find_holds
+from panda_cosim.result.pictures import gl
+from panda_cosim.result.pictures.gl import RenderError
+from panda_cosim.result.pictures.motion import (
     BLOCK_QUAT,
     FloatArray,
     interpolate_qpos,
     key_moments,
     slerp,
 )
-from panda_cosim.graphics.pictures.offscreen import OffscreenRenderer, describe_gl
-from panda_cosim.graphics.pictures.sheet import contact_sheet
-from panda_cosim.graphics.pictures.video import find_ffmpeg, render_video
-from panda_cosim.result.judging.holds import events, find_holds
+from panda_cosim.result.pictures.offscreen import OffscreenRenderer, describe_gl
+from panda_cosim.result.pictures.sheet import contact_sheet
+from panda_cosim.result.pictures.video import find_ffmpeg, render_video
 from panda_cosim.task.criteria import HELD_FORCE
 from regress_support import record
 
@@ -162,7 +162,7 @@ def test_a_video_cut_short_leaves_no_file_and_keeps_the_old_one(tmp_path):
 LONG_VIDEO = f"""
 import sys
 import numpy as np
-from panda_cosim.graphics.pictures.video import render_video
+from panda_cosim.result.pictures.video import render_video
 class Run(dict):
     time, path = np.array([0.0, 100.0]), "nowhere"
     metadata = {{"scene": "tabletop"}}

@@ -1,1 +1,0 @@
-"""How it looks: the page, videos and plots."""
