@@ -114,3 +114,23 @@ def test_a_run_that_matches_with_other_parameters_says_so(suite):
     (green,) = json.loads(told.stdout)["scenarios"]
     assert green["verdict"] == "same"
     assert green["cause"] == "changed: plant.block_friction 1 -> 0.9; results match"
+
+
+def test_a_changed_criterion_is_named_by_a_red_and_by_a_green_run(suite, tmp_path):
+    push = shutil.copytree(load_scenario("push").folder, tmp_path / "push") / "scenario.toml"
+    text = push.read_text()
+    regress = ("regress", push.parent, "--json")
+    for old, new, code, said in (
+        ("tracking_max = 0.02", "tracking_max = 0.01", 0, "tracking_max 0.02 -> 0.01 m;"),
+        ("tracking_max = 0.02", "tracking_max = 1e-4", 1, "tracking_max 0.02 -> 0.0001 m"),
+        ("max_unw", "max_limit_share = 9\nmax_unw", 0, "max_limit_share \u2013 -> 9; results"),
+        ('"recovery_time"', '"hash"', 0, "recovery_time 0.15 s -> \u2013, success.hash \u2013 -> "),
+    ):
+        push.write_text(text.replace(old, new))
+        told = command(*regress, "--report", tmp_path / "report", "--overwrite", code=code)
+        (found,) = json.loads(told.stdout)["scenarios"]
+        assert found["cause"].startswith(f"changed: success.{said}"), found["cause"]
+    assert "criteria differ" in told.stderr
+    assert "<td class=num>0.15 s</td>" in (tmp_path / "report" / "report.html").read_text()
+    assert "judged by other criteria" in command(*regress[:2], "--update", "--yes").stdout
+    assert json.loads(command(*regress, code=0).stdout)["scenarios"][0]["cause"] == ""

@@ -18,6 +18,7 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
 from ...run.folder import default_folder
+from ...study.compare.causes import CRITERIA
 from ...study.compare.engines import engine_rows, variants
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
@@ -216,7 +217,8 @@ def _line(outcome: Outcome) -> str:
     share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
     if outcome.comparison is not None:
         share += f", {outcome.comparison.count}"
-        share += ", parameters differ" if outcome.ok and outcome.cause else ""
+        given = "criteria" if CRITERIA in outcome.cause else "parameters"
+        share += f", {given} differ" if outcome.ok and outcome.cause else ""
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 

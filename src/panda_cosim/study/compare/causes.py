@@ -1,7 +1,8 @@
 """What a run was made with: a red one names what has changed there before its signals.
 
-That is its settings, parameters and versions, and of each MuJoCo model the compiled fields that
-its author writes, by element: `plant: body ball mass`. What no field tells is in a hash.
+That is its settings, parameters and versions, the bounds of its criteria, and of each MuJoCo model
+the compiled fields that its author writes, by element: `plant: body ball mass`. What no field tells
+is in a hash.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from ...fmus.build.engines import made_with
 from ...fmus.build.identity import mujoco_version
 from ...plant.parameters import PlantParameters
+from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...run.folder import model_in
 from ...run.system.assembly import assemble
@@ -34,6 +36,8 @@ TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(enco
 ENGINE: Final = "versions.mujoco"  # comes before models, which it compiles
 ROUNDING: Final = 1e-9  # relative; less is rounding where another engine compiles a model
 SHOWN: Final = 4  # causes in a line
+CRITERIA: Final = "success."  # begins the names of bounds
+UNASKED: Final = "max_engine_warnings"  # is judged with the bound 0 also where none is stated
 # The order in which they are named; FMUs last, as their hashes change with any of their files.
 _PARTS: Final = ("parameters", "models", "", "versions", "fmus")
 
@@ -85,6 +89,16 @@ def _compiled(contents: Mapping[str, bytes], own: PlantParameters | None) -> byt
     return json.dumps({name: elements(model) for name, model in models.items()}).encode()
 
 
+def changed_bounds(before: Summary, now: Summary) -> list[Row]:
+    """Return the criteria whose bounds differ, or which only one of two runs is judged by."""
+    units, bounds = {}, []
+    for summary in (before, now):
+        stated = [it for it in summary.criteria if it.bound or it.name != UNASKED]
+        units |= {f"{CRITERIA}{it.name}": "" if it.unit == "1" else it.unit for it in stated}
+        bounds.append({f"{CRITERIA}{it.name}": it.bound for it in stated})
+    return [replace(row, unit=units[row.name]) for row in differing(bounds)]
+
+
 def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
     """Return what two runs were made with differently, as it is to be named.
 
@@ -103,14 +117,15 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
         part, instance, rest = split[name]
         if part == "fmus":
             return rest == "sha256" and instance not in models
-        if rest == "hash":
+        if part == "models" and rest == "hash":
             return not engine and instance not in fields
         return name != "scenario"  # its name
 
     def rank(row: Row) -> float:
         return 0.5 if row.name == ENGINE else _PARTS.index(split[row.name][0])
 
-    return sorted((row for row in rows if is_cause(row.name)), key=rank)
+    causes = sorted((row for row in rows if is_cause(row.name)), key=rank)
+    return [replace(row, unit=_unit(*split[row.name])) for row in causes]
 
 
 def _is_rounding(row: Row) -> bool:
@@ -128,6 +143,13 @@ def _split(name: str) -> tuple[str, str, str]:
     return part, instance, rest
 
 
+def _unit(part: str, instance: str, rest: str) -> str:
+    """Return the unit of a model's field, or of a parameter of ours."""
+    if part == "models":
+        return str(TABLES["units"].get(signal_of(rest).rpartition(" ")[2], ""))
+    return unit_of(f"{instance}.{rest}")
+
+
 def named(rows: Sequence[Row], most: int = SHOWN) -> str:
     """Name changes in one line: `plant.block_mass 0.18 -> 0.21 kg, ...`."""
     first = {signal_of(row.name): row for row in reversed(rows)}  # of each field's numbers
@@ -139,13 +161,14 @@ def named(rows: Sequence[Row], most: int = SHOWN) -> str:
 def _words(rows: Sequence[Row]) -> Iterator[str]:
     for row in rows:
         part, instance, rest = _split(row.name)
-        name, unit = f"{instance}.{rest}".rstrip("."), unit_of(f"{instance}.{rest}")
+        name = f"{instance}.{rest}".rstrip(".")
         if part == "models":
-            field = signal_of(rest).rpartition(" ")[2]
-            name, unit = f"{instance}: {rest}", TABLES["units"].get(field, "")
-        if rest == "hash":
+            name = f"{instance}: {rest}"
+        if part == "models" and rest == "hash":
             yield f"{instance}: other fields of its compiled model"
         elif part == "fmus":
             yield f"the code or files of FMU {instance!r}"
+        elif None in row.values:
+            yield f"{name} {' -> '.join(row.cells[1:])}"
         else:
-            yield f"{replace(row, name=name)} {unit}".rstrip()
+            yield f"{replace(row, name=name)} {row.unit}".rstrip()

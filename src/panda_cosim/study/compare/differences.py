@@ -15,7 +15,7 @@ from ...fmus.errors import InputError
 from ...result.recording import Recording
 from ...task.tolerances import Tolerances, flattened, signal_of
 from .tubes import TIME_SLACK, distances, shown_at, widths
-from .wording import instant, measure, numbers, unit_of
+from .wording import DASH, instant, measure, numbers, unit_of
 
 SETTINGS: Final = ("scenario", "system", "coupling", "interpolation", "duration", "step_size")
 LONG: Final = 40  # characters of a text, such as a digest
@@ -48,16 +48,23 @@ class Row:
 
     name: str  # such as `controller.kp[1]` or `tracking.rms_mm`
     values: tuple[Any, ...]  # in each run; None: it has none
+    unit: str = ""  # unless its name tells it
 
     def __str__(self) -> str:
-        """Say what it is in each run: `controller.kp 8 -> 6`; long texts are cut."""
-        texts = (text if len(text) < LONG else f"{text[:12]}..." for text in numbers(self.values))
-        return f"{self.name} {' -> '.join(texts)}"
+        """Say what it is in each run: `controller.kp 8 -> 6`."""
+        return f"{self.name} {' -> '.join(self.texts)}"
+
+    @property
+    def texts(self) -> list[str]:
+        """What it is in each run; of long texts both ends."""
+        texts = numbers(self.values)
+        return [it if len(it) < LONG else f"{it[:12]}...{it[-12:]}" for it in texts]
 
     @property
     def cells(self) -> tuple[str, ...]:
         """Its name, and what it is in each run, with the unit if it is known."""
-        texts = (f"{text} {unit_of(self.name)}".rstrip() for text in numbers(self.values))
+        unit = self.unit or unit_of(self.name)
+        texts = (text if text == DASH else f"{text} {unit}".rstrip() for text in self.texts)
         return self.name, *texts
 
     @property

@@ -13,7 +13,7 @@ from ...result.judging.criterion import Criterion
 from ...result.judging.summary import Summary
 from ...task.scenario import Scenario
 from .against_reference import Comparison, Deviation
-from .causes import named
+from .causes import CRITERIA, named
 from .reference import REFERENCE_FILE
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -120,13 +120,14 @@ class Outcome:
     def cause(self) -> str:
         """What the run was made with differently than its reference, in one line; "": nothing.
 
-        Of a run that matches, only parameters are told, and what another MuJoCo compiles.
+        Of a run that matches, only bounds, parameters and what another MuJoCo compiles are told.
         """
         if self.comparison is None:
             return ""
         match = self.comparison.ok
         whole = not match or self.difference  # another engine's fields, also where results match
-        told = [c for c in self.comparison.causes if whole or c.name.startswith("parameters.")]
+        given = (CRITERIA, "parameters.")
+        told = [c for c in self.comparison.causes if whole or c.name.startswith(given)]
         return f"changed: {named(told)}{'; results match' * match}" if told else ""
 
     @property

@@ -24,7 +24,7 @@ from ...task.files import scenario_files
 from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..work import Workers
 from .against_reference import Comparison, compare_with_reference
-from .causes import changed, models_of
+from .causes import changed, changed_bounds, models_of
 from .outcome import Outcome, Unusable, Verdict
 from .reference import Reference, how_to_make, kept_metadata
 
@@ -99,7 +99,8 @@ def _comparison(judged: Outcome, summary: Summary, exact: bool) -> Comparison:
     known = {name: reference.models[name] for name in models if name in reference.models}
     before = {**reference.metadata, "models": known}
     now = {**kept_metadata(recording), "models": {name: models[name] for name in known}}
-    return replace(found, causes=tuple(changed(before, now)))
+    bounds = changed_bounds(reference.summary, summary)
+    return replace(found, causes=(*bounds, *changed(before, now)))
 
 
 def _failed(scenario: Scenario | Unusable, run: Path, began: float, error: str) -> Outcome:
@@ -228,6 +229,7 @@ def changes(outcome: Outcome, new: Reference) -> list[str]:
     made = [(it.metadata["parameters"], it.models) for it in (old, new)]
     found = {
         "was made with other parameters or models": made[0] != made[1],
+        "was judged by other criteria": bool(changed_bounds(old.summary, new.summary)),
         "is rounded anew, as its tolerances have changed": old.quanta != new.quanta,
     }
     others = [line for line, is_so in found.items() if is_so]

@@ -96,7 +96,7 @@ def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Pa
     return [
         _view(outcome, shown, views),
         Part("Signals, worst first", tables, comparison.scope, figures),
-        _changes("Parameters, models, versions, FMUs", comparison.causes),
+        _changes("Bounds, parameters, models, versions, FMUs", comparison.causes),
         _changes("Metrics", metrics, f"{len(metrics)} that differ"),
     ]
 
