@@ -91,7 +91,8 @@ def _compiled(contents: Mapping[str, bytes], own: PlantParameters | None) -> byt
 
 def changed_bounds(before: Summary, now: Summary) -> list[Row]:
     """Return the criteria whose bounds differ, or which only one of two runs is judged by."""
-    units, bounds = {}, []
+    units: dict[str, str] = {}
+    bounds = []
     for summary in (before, now):
         stated = [it for it in summary.criteria if it.bound or it.name != UNASKED]
         units |= {f"{CRITERIA}{it.name}": "" if it.unit == "1" else it.unit for it in stated}
