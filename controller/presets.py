@@ -13,7 +13,9 @@ from .gains import Gains
 
 _NAMES: Final = [gain.name for gain in fields(Gains)]
 # Gains that only the impedance law has, and that only the laws with servos have.
-OF_IMPEDANCE: Final = frozenset(_NAMES[_NAMES.index("stiffness") :])
+OF_IMPEDANCE: Final = frozenset(
+    _NAMES[_NAMES.index("stiffness") : _NAMES.index("posture_damping") + 1]
+)
 OF_SERVOS: Final = frozenset(_NAMES[_NAMES.index("kp") : _NAMES.index("limit_share")]) - {
     "base_ctrl", "posture",
 }  # fmt: skip

@@ -17,7 +17,6 @@ from .parameters import BLOCK, MOVING_LINKS, PlantParameters
 from .scene import load_scene, place_block
 from .signals import INPUTS, OUTPUTS
 
-FORCES = slice(-61, -49)  # actuator_force to table_force, before mass_matrix: of the last step
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 DIVERGED = "BAD"  # begins the names of the warnings that end a simulation
 
@@ -92,7 +91,6 @@ class Plant:
             self._normals[sensor.adr[0] : sensor.adr[0] + sensor.dim[0] : 3] = 1.0
         first_link = self.model.body(MOVING_LINKS[0]).id  # the others follow it
         self._links = slice(first_link, first_link + len(MOVING_LINKS))
-        self._link_forces = self.input_values[-3 * len(MOVING_LINKS) :].reshape(-1, 3)
         self._has_motors = self.model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_NONE
         self.reset()
 
@@ -119,9 +117,8 @@ class Plant:
         self.input_values[:] = 0.0
         self.inputs["ctrl"] = home.ctrl
         place_block(self.model, self.data, self.parameters)
-        self.data.qacc_warmstart[:] = 0.0
+        self.output_values[:] = 0.0  # as are MuJoCo's forces until a first step
         self._refresh()
-        self.output_values[FORCES] = 0.0
 
     def step(self, ticks: int = 1) -> None:
         """Advance by 1 ms ticks with the inputs held; a `DivergenceError` says when and where."""
@@ -142,7 +139,7 @@ class Plant:
             ctrl[:7] = self.inputs["torque"]
         forces[self._hand] = self.inputs["push_force"]
         forces[self._block] = self.inputs["block_force"]
-        forces[self._links] = self._link_forces
+        forces[self._links] = [self.inputs[f"{link}_force"] for link in MOVING_LINKS]
 
     def _refresh_contacts(self) -> None:
         """Sum contact forces of the last step, before mj_step1 finds new contacts."""
@@ -175,17 +172,17 @@ class Plant:
                 )
 
     def get_state(self) -> Vector:
-        """Copy everything that the next step depends on, and the forces of the last step (n,)."""
+        """Copy everything that the next step depends on, and the outputs (n,)."""
         physics = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, physics, STATE)
-        return np.concatenate((physics, self.input_values, self.output_values[FORCES]))
+        return np.concatenate((physics, self.input_values, self.output_values))
 
     def set_state(self, state: Vector) -> None:
         """Restore what `get_state` returned, so that a replay gives the same bits."""
         size = mujoco.mj_stateSize(self.model, STATE)
-        physics, inputs, forces = np.split(state, (size, size + self.input_values.size))
+        physics, inputs, outputs = np.split(state, (size, size + self.input_values.size))
         mujoco.mj_setState(self.model, self.data, physics, STATE)
         self.input_values[:] = inputs
         self.data.warning.number[:] = 0
         self._refresh()
-        self.output_values[FORCES] = forces
+        self.output_values[:] = outputs  # among them forces of the last step

@@ -10,6 +10,7 @@ else, so that a rigid scene's positions, velocities and bodies keep their places
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import Any, Final
 
 import mujoco
@@ -102,9 +103,10 @@ def place_block(model: Any, data: Any, parameters: PlantParameters) -> None:
     half_yaw = parameters.block_yaw / 2
     joint.qpos[:3] = x, y, block_start_height(x, y)
     joint.qpos[3:] = math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)
-    mujoco.mj_forward(model, data)
+    tried = copy(data)  # so that `data` has no forces yet
+    mujoco.mj_forward(model, tried)
     block = model.geom("obj_geom").id
-    for contact in data.contact[: data.ncon]:
+    for contact in tried.contact[: tried.ncon]:
         if block in contact.geom and contact.dist < -1e-4:  # [m]; resting contact is above it
             other = int(contact.geom[0] if contact.geom[1] == block else contact.geom[1])
             name = model.geom(other).name or model.body(model.geom_bodyid[other]).name

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from law_support import INPUTS, LawInC, compile_law, replay
 from panda_cosim.assets import franka, limits
-from panda_cosim.controller.controller import Controller
+from panda_cosim.controller.controller import LAWS, Controller
 from panda_cosim.controller.gains import RANGES, REACTIONS, Gains
-from panda_cosim.controller.presets import preset
+from panda_cosim.controller.presets import PRESETS, preset
 from panda_cosim.task.rotations import Array
 
 SEVERAL = 60  # updates of a random sequence
@@ -27,8 +27,7 @@ def library(tmp_path_factory):
 
 def random_gains(rng: np.random.Generator) -> Gains:
     """Return gains near those that are shipped, some of them anywhere in their range."""
-    names = ["default", "tutorial", "impedance"]
-    gains = preset(rng.choice(names), robot=str(rng.choice([*franka.ROBOTS])))
+    gains = preset(rng.choice([*PRESETS]), robot=str(rng.choice([*franka.ROBOTS])))
     for name in rng.choice(PLAIN_FIELDS, 4):
         low, high = RANGES[name]
         value = getattr(gains, name)
@@ -72,6 +71,10 @@ def test_random_gains_and_inputs_have_the_same_bits(library, seed, size):
         random_gains(rng), use_reference=not gains.use_reference, robot=gains.robot
     )
     np.testing.assert_array_equal(replay(law, rows[::-1]), replay(python, rows[::-1]))
+
+
+def test_each_law_has_a_preset_so_that_random_gains_draw_it():
+    assert {gains.law for gains in PRESETS.values()} == {*LAWS}
 
 
 def test_the_robots_limits_are_those_of_the_assets(library):
