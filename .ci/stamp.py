@@ -48,9 +48,9 @@ COMPARED = {  # by these tests, in `tests`
 
 
 def files_of(twin: str) -> list[str]:
-    """Files of a twin's Python code: what its FMU carries, or what the master's step calls."""
+    """Files of a twin's Python code: what its FMU carries, or the step and its list of calls."""
     if twin == "kernel":
-        code = [*code_of(MASTER / "step.py", MASTER), *code_of(MASTER / "fmi.py", MASTER)]
+        code = [*code_of(MASTER / "kernel.py", MASTER), *code_of(MASTER / "fmi.py", MASTER)]
         return sorted(f"fmus/master/{name}" for name in {*code})
     # MJCF files are read by either.
     return sorted(name for name in own_code(twin) if not name.endswith(".xml"))

@@ -21,7 +21,6 @@ ARMS: Final = {"fer": "panda", "fr3": "fr3"}  # as the key `robot` of a scenario
 AT_LIMIT: Final = 1.0 - 1e-9  # share from which a value is refused: it must be below its limit
 DERIVATIVES: Final = ("velocity", "acceleration", "jerk")
 _TABLES: Final = tomllib.loads((ASSETS / "checks.toml").read_text(encoding="utf-8"))
-REMEDIES: Final[Mapping[str, str]] = _TABLES.pop("remedies")
 SIGNALS: Final[Mapping[str, list[str]]] = _TABLES.pop("signals")
 
 Rates = Sequence[Array]  # positions (n, k) and their three derivatives
@@ -37,7 +36,7 @@ class Check:
     error: str
     what: str
     unit: str
-    remedy: str  # its name in `REMEDIES`
+    remedy: str  # name of the advice that helps
     necessary: bool = True
     limit: str = "the limit"
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...assets import SCENES, STEP_SIZE
 from ...assets.franka import ROBOTS
+from ...assets.limits import LIMIT_FILES
 from ...plant.parameters import PlantParameters
 from ..atomic import cache_folder, cached
 from ..build.description import STOP_TIME, Layout
@@ -194,7 +195,8 @@ def own_code(name: str) -> dict[str, bytes]:
 
     own = OWN[name]
     code = code_of(ROOT / f"{own.slave[0].replace('.', '/')}.py", ROOT)
-    of_assets = (f"assets/{name}" for name in (*own.assets, "*.toml"))
+    limits = (f"{robot}.toml" for robot in LIMIT_FILES)
+    of_assets = (f"assets/{name}" for name in (*own.assets, *limits))
     beside = (str(Path(file).with_suffix(".toml")) for file in code)  # a module's table
     files = (file for name in (*of_assets, *beside) for file in sorted(ROOT.glob(name)))
     return code | {file.relative_to(ROOT).as_posix(): file.read_bytes() for file in files}

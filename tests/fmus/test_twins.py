@@ -20,6 +20,10 @@ def test_the_stamp_is_that_of_the_code():
     assert twins.proven() == now, f"Python code has changed: run `{twins.RENEW}`, see CONTRIBUTING"
 
 
+def test_the_list_of_calls_that_c_goes_through_is_compared_too():
+    assert "fmus/master/kernel.py" in twins.proven()["kernel"]
+
+
 def drive(it: Instance, name: str) -> list[list[float]]:
     """Outputs over ticks with inputs that wander, tuned on the way and set back once."""
     source, interface = np.random.default_rng(5), INTERFACES.get(name, TRAJECTORY)

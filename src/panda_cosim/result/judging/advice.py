@@ -1,12 +1,14 @@
 """What went wrong in a run and what helps, from its recording and summary.
 
 `run` and `check` say the same lines, in the order of time: causes come before their symptoms. What
-helps is in checks.toml.
+helps is in advice.toml.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -14,7 +16,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...assets import STEP_SIZE
-from ...assets.checks import REMEDIES
 from ...assets.fields import Array
 from ...fmus.interface.plant import FORCES
 from ...task.criteria import HELD_FORCE
@@ -31,6 +32,7 @@ from .summary import Metrics, Summary
 Level = Literal["wrong", "refused", "hint", "good"]
 Finding = tuple[float, str, str]  # when [s], what is wrong then, and which remedy helps
 
+REMEDIES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 SINGULAR: Final = "controller.singular"
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down

@@ -18,7 +18,6 @@ from ...assets import STEP_SIZE, TORQUE_DRIVEN
 from ...assets.checks import (
     AT_LIMIT,
     CHECKS,
-    REMEDIES,
     Measure,
     Rates,
     arm_measures,
@@ -42,6 +41,7 @@ from ...controller.touch import ROTOR
 from ...task import rotations
 from ...task.limits import robot_of
 from ..recording import Recording
+from .advice import REMEDIES
 from .holds import COMMAND, first_collision
 from .rows import table_row
 from .summary import Metrics

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from ...assets.checks import REMEDIES
 from ...controller.presets import PRESETS
 from ...fmus.build.engines import has_engine
 from ...fmus.build.identity import mujoco_version
@@ -25,7 +24,7 @@ from ...fmus.master.system import conversions, notes, read_fmus
 from ...fmus.sources.model_fmu import load_binary
 from ...plant.parameters import PlantParameters
 from ...plant.plant import Plant
-from ...result.judging.advice import Level, advise, refusals, weakest_grip
+from ...result.judging.advice import REMEDIES, Level, advise, refusals, weakest_grip
 from ...result.judging.verdicts import MISSED, NOT_MEASURED, UNEXPECTED
 from ...result.recording.reader import shapes_of
 from ...run.execution import Execution
