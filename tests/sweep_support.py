@@ -78,7 +78,7 @@ def pretended(folder: Path, sweep: Sweep, outcome: Outcome, rows: Sequence[int] 
     criteria = ["margin", "margin.tracking_max", "margin.max_slip"]
     nominal = {name: dict.fromkeys(criteria[: 3 - i], 0.5) for i, name in enumerate(sweep.scenario)}
     columns = ["index", "scenario", "status", "missed", "error", "command", *criteria,
-               "summary.limits.torque_share[1]"]  # fmt: skip
+               "summary.limits.torque_share[1]", "wall_s", "reach_m"]  # fmt: skip
     origin = {"definition": definition | {"scenario": list(sweep.scenario)}, "scenarios": {},
               "vary": {key: asdict(each) for key, each in sweep.vary.items()}, "fmus": {},
               "versions": {"mujoco": "4"}}  # fmt: skip
@@ -107,6 +107,8 @@ def _row(sweep: Sweep, design: Design, index: int, outcome: Outcome) -> dict[str
         "margin.tracking_max": margin,
         "margin.max_slip": 2 * margin if slips else None,
         "summary.limits.torque_share[1]": 1.5 if index % 10 == 3 else 0.5,
+        "wall_s": 0.1,
+        "reach_m": 0.8,
     }
 
 

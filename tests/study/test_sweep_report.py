@@ -13,6 +13,8 @@ import pytest
 from browser import Page
 from panda_cosim import InputError, Sweep, sweep
 from panda_cosim.study.sweep.report import write_report
+from panda_cosim.study.sweep.results import Results
+from panda_cosim.study.sweep.store import Store
 from sweep_support import FORCE, made_up, pretended, short_sweep
 
 
@@ -22,6 +24,11 @@ def test_many_rows_give_a_small_page_that_says_so(tmp_path):
     assert page.stat().st_size < 5e6
     assert re.search(r"\(40\d\d of 20000 are drawn", text)
     assert "<b>plant" not in text.partition("<main>")[2]
+
+
+def test_each_number_of_a_row_but_its_wall_time_is_on_the_page(tmp_path):
+    results = Results(Store(made_up(tmp_path / "sweep", 4)))
+    assert results.metrics == ["summary.limits.torque_share[1]", "reach_m"]
 
 
 def test_commands_on_the_page_are_made_of_checked_fields(tmp_path):

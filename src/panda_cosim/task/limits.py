@@ -1,20 +1,15 @@
-"""The robot's limits in one table, and the metrics of how much of them a run uses."""
+"""The robot's limits in one table, and values as shares of them."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from ..assets import franka
 from ..assets.fields import Array
-
-_TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-METRICS: Final[Mapping[str, str]] = _TABLES["metrics"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from ...assets import STEP_SIZE
 from ...assets.fields import Array
 from ...assets.franka import ROBOTS
 from ...assets.limits import RobotLimits
-from ...task.limits import LIMITS, LIMITS_OF, METRICS, robot_of
+from ...task.limits import LIMITS, LIMITS_OF, robot_of
 from ..recording import Recording, by_rows
 from .holds import HAND
 from .summary import Metrics
@@ -20,12 +20,12 @@ from .summary import Metrics
 Elements = Callable[[Recording], Iterable[Array]]  # each (n,), so that a long run takes little
 
 FORCE: Final = "plant.actuator_force"  # of the servos [N.m, N]
-REFERENCE: Final = "controller.qvel_ref"
+REFERENCE, Q_REFERENCE = "controller.qvel_ref", "controller.qpos_ref"
 SATURATED: Final = 1.0 - 1e-9  # share of its torque from which a servo has none left
 # Values 1 to 6 of `controller.limit`.
 KINDS: Final = ("position", "velocity", "acceleration", "jerk", "torque", "torque rate")
 _Q, _QD, _F = "plant.qpos[16]", "plant.qvel[9]", f"{FORCE}[7]"
-_REF, _Q_REF = f"{REFERENCE}[7]", "controller.qpos_ref[7]"
+_REF, _Q_REF = f"{REFERENCE}[7]", f"{Q_REFERENCE}[7]"
 
 
 def limit_shares(recording: Recording) -> Metrics:
@@ -51,7 +51,7 @@ def limit_shares(recording: Recording) -> Metrics:
 def lacking(key: str, recorded: Container[str]) -> str:
     """Return which signal the use of a limit lacks, or ""."""
     # The hand tells our arm from another plant, whose joints these limits are not of.
-    needed = (*_USES[key][0], *((HAND,) if not key.startswith("reference_") else ()))
+    needed = (*_USES[key][1], *((HAND,) if not key.startswith("reference_") else ()))
     missing = [each.partition("[")[0] for each in needed if each not in recorded]
     return f"{missing[0]} is not recorded" if missing else ""
 
@@ -64,7 +64,7 @@ def all_lacking(recorded: Container[str]) -> str:
 
 def shares_over_time(recording: Recording, metric: str) -> Iterator[Array]:
     """Yield the use of a limit at each row (n,), joint by joint, 1 and -1 at the limit."""
-    _, quantity, used = _USES[metric]
+    *_, quantity, used = _USES[metric]
     bounds = LIMITS_OF[robot_of(recording.metadata)][quantity].bound if quantity else repeat(1.0)
     return map(np.divide, used(recording), bounds)
 
@@ -131,29 +131,33 @@ def _reference_rates(order: int) -> Elements:
     return rates
 
 
-# By metric: the signals that it needs, the limit, unless it depends on the position, and its use.
-_USES: Final[Mapping[str, tuple[tuple[str, ...], str, Elements]]] = {
-    "position_share": ((_Q,), "", _positions),
-    "velocity_share": ((_QD, _Q), "", _velocities("plant.qvel", "plant.qpos")),
-    "torque_share": ((_F,), "torque", _of(FORCE)),
-    "torque_rate_share": ((_F,), "torque rate", _torque_rates),
-    "finger_speed_share": ((_QD,), "finger speed", _of("plant.qvel", 8, 2)),
+# By its key in summary.json, where 1 is at the limit: its name, the signals that it needs, the
+# limit, unless it depends on the position, and its use.
+_USES: Final[Mapping[str, tuple[str, tuple[str, ...], str, Elements]]] = {
+    "position_share": ("joint position", (_Q,), "", _positions),
+    "velocity_share": ("joint velocity", (_QD, _Q), "", _velocities("plant.qvel", "plant.qpos")),
+    "torque_share": ("joint torque", (_F,), "torque", _of(FORCE)),
+    "torque_rate_share": ("torque rate", (_F,), "torque rate", _torque_rates),
+    "finger_speed_share": ("finger speed", (_QD,), "finger speed", _of("plant.qvel", 8, 2)),
     "reference_velocity_share": (
-        (_REF, _Q_REF), "", _velocities(REFERENCE, "controller.qpos_ref")
+        "joint-reference velocity", (_REF, _Q_REF), "", _velocities(REFERENCE, Q_REFERENCE)
     ),
-    "reference_acceleration_share": ((_REF,), "acceleration", _reference_rates(1)),
-    "reference_jerk_share": ((_REF,), "jerk", _reference_rates(2)),
+    "reference_acceleration_share": (
+        "joint-reference acceleration", (_REF,), "acceleration", _reference_rates(1)
+    ),
+    "reference_jerk_share": ("joint-reference jerk", (_REF,), "jerk", _reference_rates(2)),
 }  # fmt: skip
+SHARES: Final = {key: name for key, (name, *_) in _USES.items()}
 
 
 def largest_share(shares: Metrics) -> float | None:
     """Largest of all `limit_shares`; None if nothing was measured."""
-    return max((max(shares[key]) for key in METRICS if key in shares), default=None)
+    return max((max(shares[key]) for key in SHARES if key in shares), default=None)
 
 
 def exceeded(recording: Recording, shares: Metrics) -> Iterator[tuple[str, str, float]]:
     """Yield each kind of exceeded limit, as "torque rate of joint 2", "176%", and when [s]."""
-    for key, metric in METRICS.items():
+    for key, name in SHARES.items():
         values = shares.get(key, [0.0])
         most = int(np.argmax(values))
         if values[most] > 1.0:
@@ -162,7 +166,7 @@ def exceeded(recording: Recording, shares: Metrics) -> Iterator[tuple[str, str, 
             used = [*shares_over_time(recording, key)][most]
             at = float(recording.time[np.abs(used).argmax()])
             share = "just above 100%" if share == "100%" else share
-            yield f"{metric} of {part} {most + 1}", share, at
+            yield f"{name} of {part} {most + 1}", share, at
 
 
 def first_limit(recording: Recording) -> Metrics | None:

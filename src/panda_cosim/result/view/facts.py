@@ -12,10 +12,10 @@ from ...assets.checks import CHECKS
 from ...assets.franka import OPENING_MAX, ROBOTS, TORQUE_MAX
 from ...result.judging.advice import refusals
 from ...result.judging.definitions import DEFINITIONS
+from ...result.judging.limits import SHARES
 from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...result.recording.storage import Metadata
-from ...task.limits import METRICS
 from ..pictures.motion import key_moments
 from .columns import Json
 
@@ -49,7 +49,7 @@ def meaning(key: str) -> str:
 
 def limits_of(summary: Summary) -> list[Json]:
     """Return the largest shares of the robot's limits that the run used."""
-    rows = [("limits", key, name, summary.limits) for key, name in METRICS.items()]
+    rows = [("limits", key, name, summary.limits) for key, name in SHARES.items()]
     real = summary.preflight
     rows += [
         ("preflight", f"{key}_share", f"{real.get('robot')}: {key.replace('_', ' ')}", real)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...assets.fields import Array
 from ..compare.wording import numbers
-from .row import MARGIN
+from .row import MARGIN, TEXTS
 from .store import Store
 
 Labels = Mapping[str, Sequence[str]]
@@ -99,7 +99,7 @@ class Results:
         values: Varied values by key; words as their numbers in `labels`.
         labels: Words by key, the scenarios' names among them.
         margins: Margins by column; -inf if not measured, NaN if of another scenario.
-        metrics: Columns of the summary's other numbers, and of events.
+        metrics: All other columns of numbers: the summary's, instants of events.
         bad: Whether a row failed, or missed a criterion.
         index: Numbers of the rows.
         missed: Number of rows by the first criterion that they missed.
@@ -122,7 +122,8 @@ class Results:
                 words, codes = np.unique(column.cast("string").to_numpy(), return_inverse=True)
                 self.values[key], self.labels[key] = codes.astype(np.float64), words.tolist()
         self.margins = {name: _margins(table, name, content.nominal) for name in names}
-        self.metrics = [n for n in content.columns if n.startswith(("summary.", "event."))]
+        others = {*keys, *names, *TEXTS, "index", "wall_s"}
+        self.metrics = [name for name in content.columns if name not in others]
         status = table["status"].to_numpy()
         self.bad = np.asarray(status != "success", dtype=bool)
         missed = table["missed"].to_numpy()[status == "missed"]

@@ -28,6 +28,9 @@ from ...run.stopping import StopRequest
 from ..work import processor
 from .packed import Loaded, read_files, unpack
 
+# Columns of words; all others hold numbers, which a report shows.
+TEXTS: Final = ("scenario", "status", "missed", "error", "processor", "command",
+                "recording_sha256")  # fmt: skip
 MARGIN: Final = "margin"  # column with the smallest; `margin.NAME` has that of a criterion
 # As `run` would end: as expected (0), a criterion missed (3), all of them hold though a failure is
 # expected (3), none missed and one not measured (3), a failed simulation (1), or stopped by the

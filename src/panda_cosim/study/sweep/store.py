@@ -41,13 +41,11 @@ from ...task.writer import write_scenario
 from ..compare.differences import differing
 from .definition import Sweep
 from .packed import Loaded, identity, pack, scenario_names
-from .row import Done, Row
+from .row import TEXTS, Done, Row
 
 SWEEP_FILE: Final = "sweep.json"
 FORMAT: Final = 2
 KEPT: Final = "scenarios"
-_TEXT: Final = ("scenario", "status", "missed", "error", "processor", "command",
-                "recording_sha256")  # fmt: skip
 # What rows do not depend on: what stands above sweeps. All other code and data of the package
 # counts; shipped scenarios have a hash of their own.
 ABOVE: Final = ("cli", "study/check")
@@ -305,5 +303,5 @@ def schema(keys: Mapping[str, object], columns: Sequence[str]) -> pa.Schema:
     types = {bool: pa.bool_(), str: pa.string(), float: pa.float64()}
     fields = {"index": pa.int64(), **{key: types[type(value)] for key, value in keys.items()}}
     for name in columns:
-        fields.setdefault(name, pa.string() if name in _TEXT else pa.float64())
+        fields.setdefault(name, pa.string() if name in TEXTS else pa.float64())
     return pa.schema(list(fields.items()))
