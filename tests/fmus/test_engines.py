@@ -21,7 +21,12 @@ from panda_cosim.run.execution import run_scenario
 from panda_cosim.run.options import Options
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.compare.against_reference import compare_with_reference
-from panda_cosim.study.compare.engines import difference_of, engine_rows
+from panda_cosim.study.compare.engines import (
+    changed_pairs,
+    difference_of,
+    engine_rows,
+    touching,
+)
 from panda_cosim.study.compare.outcome import Outcome
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.sweep.definition import sweep_of
@@ -270,3 +275,23 @@ def test_a_comparison_names_engines_and_the_first_signal_outside(tmp_path):
     assert comparison.first.first == pytest.approx(0.1)
     same = compare_with_reference(record(tmp_path / "c", columns()), SUMMARY, made, Tolerances())
     assert same.first is None
+
+
+SLIDE = """<mujoco><worldbody>
+  <geom name="floor" type="plane" size="1 1 .1"/>
+  <body name="ball" pos="0 0 .1"><joint type="slide" axis="0 0 1"/><geom size=".1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_pairs_of_geoms_are_named_with_the_tick_from_which_an_engine_parts_them(tmp_path):
+    height = np.array([0.2, 0.1, -0.01, -0.01, 0.2, -0.01])
+    record(tmp_path, {"time": 0.001 * np.arange(6), "plant.qpos[1]": height})
+    model, pair = mujoco.MjModel.from_xml_string(SLIDE), "floor and ball geom 1"
+    assert touching(tmp_path, model, "plant") == {pair: [2, 3, 5]}
+    assert touching(tmp_path, model, "other") == {}
+    own = {pair: [2, 3, 5]}
+    assert changed_pairs(own, own, {pair: [2, 3, 4, 5]}) == [f"{pair} touch at tick 4"]
+    assert changed_pairs(own, {pair: [2, 3]}, {pair: [3, 5]}) == [f"{pair} are apart at tick 2"]
+    assert changed_pairs(own, {pair: [2, 5]}, {pair: [2, 3]}) == []  # noise did so before
+    new = {**own, "a and b": [0, 1]}
+    assert changed_pairs(own, own, new) == ["a and b touch at tick 0"]

@@ -91,7 +91,8 @@ def command(  # noqa: PLR0913 - one for each option
 
     With `--mujoco`, scenarios also run with other versions of MuJoCo, and without sweeps. A table
     says of each whether it is equal to the installed one, differs by rounding, or has changed, from
-    which tick on, which unwanted contacts are new or gone, and which signal leaves its tube first.
+    which tick on, which unwanted contacts are new or gone, which geoms touch at other ticks, and
+    which signal leaves its tube first.
 
     With `--qualify 0.05`, each parameter of each scenario is changed by 5 %, and a table says what
     notices it first: a signal or a criterion. Parameters that are 0 get a step of their own.

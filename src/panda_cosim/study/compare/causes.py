@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,6 +31,7 @@ from .differences import Row, differing
 from .wording import unit_of
 
 Elements = dict[str, float]  # by element, field and number; "hash": of all that is compiled
+Look = Callable[[Any, str], dict[str, Any]]  # at a compiled model of an instance
 
 TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 ENGINE: Final = "versions.mujoco"  # comes before models, which it compiles
@@ -42,8 +43,8 @@ UNASKED: Final = "max_engine_warnings"  # is judged with the bound 0 also where 
 _PARTS: Final = ("parameters", "models", "", "versions", "fmus")
 
 
-def elements(model: Any) -> Elements:
-    """Return the fields of a compiled model (`mujoco.MjModel`)."""
+def elements(model: Any, _: str = "") -> Elements:
+    """Return the fields of a compiled model (`mujoco.MjModel`) of some instance."""
     import mujoco  # noqa: PLC0415 - slow to import; needed where runs differ
 
     compiled = np.empty(mujoco.mj_sizeModel(model), np.uint8)
@@ -67,26 +68,26 @@ def _numbered(name: str, values: Any) -> Elements:
     return dict(zip([name] if len(listed) == 1 else names, listed, strict=True))
 
 
-def models_of(scenario: Scenario, recording: Recording) -> dict[str, Elements]:
-    """Return the models of a scenario's FMUs, by instance, as its MuJoCo compiles them now."""
+def models_of(scenario: Scenario, recording: Recording, look: Look = elements) -> dict[str, Any]:
+    """Return what is seen in the models of a scenario's FMUs, by instance, with its MuJoCo."""
     from ...result.view.page import plant_parameters  # noqa: PLC0415 - as above
 
     fmus, own = assemble(scenario).system.fmus, None
     if not scenario.system and "plant" not in scenario.fmus:
         given = plant_parameters(recording.metadata)  # of which the block is a parameter
         own = PlantParameters(scene=given.scene, robot=given.robot)
-    make = partial(_compiled, {name: model_in(fmu) for name, fmu in fmus.items()}, own)
+    make = partial(_compiled, look, {name: model_in(fmu) for name, fmu in fmus.items()}, own)
     return dict(json.loads(made_with(scenario.mujoco or mujoco_version(), make)))
 
 
-def _compiled(contents: Mapping[str, bytes], own: PlantParameters | None) -> bytes:
-    """Return the elements of models in FMUs, and of our own plant, as JSON."""
+def _compiled(look: Look, contents: Mapping[str, bytes], own: PlantParameters | None) -> bytes:
+    """Return what is seen in the models of FMUs, and of our own plant, as JSON."""
     from ...fmus.sources.model_fmu import load_binary  # noqa: PLC0415 - as above
     from ...plant.scene import load_scene  # noqa: PLC0415
 
     models = {name: load_binary(content, name) for name, content in contents.items() if content}
     models |= {"plant": load_scene(own)} if own else {}
-    return json.dumps({name: elements(model) for name, model in models.items()}).encode()
+    return json.dumps({name: look(model, name) for name, model in models.items()}).encode()
 
 
 def changed_bounds(before: Summary, now: Summary) -> list[Row]:

@@ -7,18 +7,27 @@ signal where it is further off than `GROWTH` times what this noise has made of t
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from ...result.recording import Recording
 from ...task.scenario import Scenario
 from ...task.tolerances import Tolerances
+from .causes import models_of
 from .outcome import Outcome, Unusable
 from .tubes import widths
 
+Ticks = dict[str, list[int]]  # at which geoms touch, by pair
+
+BEYOND: Final = "beyond rounding"
+SHOWN: Final = 3  # pairs in a line
 NOISE: Final = 1.0 + 1e-14
 GROWTH: Final = 1000.0
 FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
@@ -53,11 +62,57 @@ def engine_rows(
 def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
     if "failed" in (own.verdict, noisy.verdict, outcome.verdict):
         return ""
-    own_run, noisy_run, run = (Recording.open(each.run) for each in (own, noisy, outcome))
-    found = difference_of(own_run, noisy_run, run, own.read.regression)
+    runs = (own, noisy, outcome)
+    first, noise, other = (Recording.open(each.run) for each in runs)
+    told = [difference_of(first, noise, other, own.read.regression)]
     before, now = _touching(own), _touching(outcome)
-    new = [f"{pair} touch" for pair in sorted(now - before)]
-    return "; ".join([found, *new, *(f"{pair} touch no more" for pair in sorted(before - now))])
+    told += [f"{pair} touch" for pair in sorted(now - before)]
+    told += [f"{pair} touch no more" for pair in sorted(before - now)]
+    if told[0].startswith(BEYOND):
+        told += changed_pairs(*map(_contacts, runs))
+    return "; ".join(told)
+
+
+def _contacts(outcome: Outcome) -> Ticks:
+    recording = Recording.open(outcome.run)
+    seen = models_of(outcome.read, recording, partial(touching, outcome.run))
+    return {pair: ticks for pairs in seen.values() for pair, ticks in pairs.items()}
+
+
+def touching(run: Path, model: Any, instance: str) -> Ticks:
+    """Return the ticks at which two geoms touch, by pair, at the positions that a run recorded."""
+    import mujoco  # noqa: PLC0415 - slow to import; another version than the installed one
+
+    recording, data = Recording.open(run), mujoco.MjData(model)
+    found = defaultdict[str, list[int]](list)
+    signal = f"{instance}.qpos"
+    qpos = recording[signal].reshape(recording.rows, -1) if signal in recording else np.empty(0)
+    if qpos.shape[-1] != model.nq:  # such as rotors of elastic joints, which no output tells
+        return found
+    for tick, data.qpos[:] in enumerate(qpos):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        for pair in {tuple(sorted(pair)) for pair in data.contact.geom.tolist()}:
+            found[" and ".join(_named(model, geom) for geom in pair)].append(tick)
+    return found
+
+
+def _named(model: Any, geom: int) -> str:
+    """Return the name of a geom, or its number in its body."""
+    body = model.body(model.geom_bodyid[geom])
+    return model.geom(geom).name or f"{body.name or 'world'} geom {geom - body.geomadr[0] + 1}"
+
+
+def changed_pairs(own: Ticks, noisy: Ticks, other: Ticks) -> list[str]:
+    """Name pairs that touch, or do not, unlike in the own run, and before noise changes them."""
+    found = []
+    for pair in own.keys() | other.keys():
+        before, noise, now = (set(each.get(pair, ())) for each in (own, noisy, other))
+        tick = min(before ^ now, default=math.inf)
+        if tick < min(before ^ noise, default=math.inf):
+            found.append((tick, f"{pair} {'touch' if tick in now else 'are apart'} at tick {tick}"))
+    more = [f"{len(found) - SHOWN} more contacts change"] * (len(found) > SHOWN)
+    return [*(text for _, text in sorted(found)[:SHOWN]), *more]
 
 
 def _touching(outcome: Outcome) -> set[str]:
@@ -82,7 +137,7 @@ def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: 
         for found, where in ((apart, differs), (beyond, wrong)):
             if where.any():
                 found[name] = int(where.argmax())
-    for word, found in (("beyond rounding", beyond), ("rounding", apart)):
+    for word, found in ((BEYOND, beyond), ("rounding", apart)):
         if found:
             name = min(found, key=found.__getitem__)
             return f"{word}, tick {found[name]}: {name}"
