@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import panda_cosim
 from bounded import ran
 from panda_cosim import InputError, TableRow, load_scenario
-from panda_cosim.controller.presets import PRESETS
 from panda_cosim.fmus.master.step import COUPLINGS
 from panda_cosim.task import scenario as scenario_module
 from panda_cosim.task.table import COLUMNS, read_tables
@@ -121,8 +120,7 @@ def test_parameters_are_kept_as_given_and_numbers_are_floats(tmp_path):
 
 
 def test_what_a_scenario_may_name_is_what_there_is():
-    """The names stand here, too, since the modules that define them import MuJoCo."""
-    assert set(scenario_module.GAINS) == set(PRESETS)
+    """The names stand here, too, since the module that defines them imports MuJoCo."""
     assert get_args(scenario_module.Coupling) == COUPLINGS
 
 

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, PlainSerializer, PlainValidator, SkipValid
 from ..assets import SCENES, STEP_SIZE, TORQUE_DRIVEN
 from ..assets.franka import DEFAULT_ROBOT, ROBOTS
 from ..assets.limits import LIMIT_FILES
+from ..controller.presets import PRESETS
 from ..fmus.build.engines import check_engine
 from ..fmus.errors import InputError, did_you_mean, excerpt, located, refuse
 from ..fmus.interface.controller import COMMANDS, OBSERVED, POSTURE_COMMANDS
@@ -41,7 +42,6 @@ from .trajectory import INTERPOLATIONS
 from .typed import typed
 from .values import Values, changed
 
-GAINS = ("default", "robust", "tutorial", "impedance")
 Coupling = Literal["gauss-seidel", "jacobi", "iterated"]
 MAX_DURATION = 3600.0  # s; an hour of recording is 4 GB before compression
 
@@ -185,7 +185,7 @@ class Scenario:
     purpose: Annotated[str, Line()] = ""
     scene: Annotated[str, Choice(SCENES)] = "tabletop"
     robot: Annotated[str, Choice(tuple(ROBOTS))] = DEFAULT_ROBOT
-    gains: Annotated[str, Choice(GAINS)] = "default"
+    gains: Annotated[str, Choice(tuple(PRESETS))] = "default"
     coupling: Annotated[Coupling, Choice(get_args(Coupling))] = "gauss-seidel"
     interpolation: Annotated[str, Choice(INTERPOLATIONS)] = "quintic"
     timing: Annotated[str, Choice(("table", "feasible", "optimal"))] = "table"
