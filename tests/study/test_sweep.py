@@ -170,6 +170,7 @@ def test_keys_that_set_the_same_value_are_refused_together(keys, named):
         (["success.tracking_max=0.1,0.2", "push[1].start=0.5,0.6"], []),
         (["plant.block_mass=0.2,0.3", "table.rows[2].x=0.0,0.01"], []),
         (["coupling=jacobi,gauss-seidel"], []),
+        (["preflight=fer,fr3"], []),
     ],
 )
 def test_keys_that_change_nothing_are_found(vary, idle):

@@ -25,6 +25,7 @@ from ...fmus.interface.parameters import ParameterValue, literal
 from ...run.inputs import CHUNK
 from ...run.prepare import prepare
 from ...run.start import start_values
+from ...task.fields import field_names
 from ...task.files import parse_csv, read_text
 from ...task.scenario import Scenario
 from .definition import MAX_SAMPLES, Distribution, Sweep
@@ -36,6 +37,10 @@ Columns = Mapping[str, Array | Sequence[Any]]  # by key, each (count,): numbers,
 Values = dict[str, ParameterValue]
 _MAX_BYTES = 1 << 30  # of a list
 COMPARED: Final = 50  # rows in which a key without effect is looked for
+# Fields of a scenario that act through start values and inputs alone.
+RESOLVED: Final = ("table", "scene", "robot", "gains", "interpolation", "timing", "timing_share",
+                   "route", "align", "plant", "controller", "mismatch", "push", "inputs",
+                   "input_table", "parameters")  # fmt: skip
 FIRST: Final = 10  # rows of a search that are drawn at random
 _EDGE = 1e-12  # keeps probabilities off 0 and 1, where the normal quantile is infinite
 
@@ -151,10 +156,9 @@ def _acts(key: str, values: Sequence[Any], row: Values, scenario: Scenario) -> b
 
 
 def _differ(one: Scenario, other: Scenario) -> bool:
-    """Tell whether two scenarios differ in start values, inputs or criteria."""
-    own = ("ticks", "coupling", "success", "asked", "mujoco", "input_scale", "steps",
-           "tolerance", "order", "not_finite")  # fmt: skip
-    if any(getattr(one, name) != getattr(other, name) for name in own):
+    """Tell whether two scenarios differ in start values, inputs, or anything else."""
+    others = {*field_names(Scenario), "asked"}.difference(RESOLVED)
+    if any(getattr(one, name) != getattr(other, name) for name in others):
         return True
     runs = prepare(one), prepare(other)
     first, second = (run.inputs() for run in runs)
