@@ -33,7 +33,7 @@ from panda_cosim.fmus.errors import InputError
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.benchmark import LABELS
 from panda_cosim.study.sweep.definition import load_sweep
-from panda_cosim.study.sweep.engine import check_sweep
+from panda_cosim.study.sweep.sweeping import check_sweep
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "measured.md"

@@ -13,7 +13,7 @@ import pytest
 
 from panda_cosim.fmus.errors import CosimError
 from panda_cosim.study.sweep import backend
-from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.study.sweep.sweeping import sweep
 from sweep_support import short_sweep
 
 

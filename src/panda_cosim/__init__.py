@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # what type checkers know of the names below
     from panda_cosim.study.compare.between_runs import RunComparison as RunComparison
     from panda_cosim.study.compare.between_runs import compare as compare
     from panda_cosim.study.sweep.definition import Sweep as Sweep
-    from panda_cosim.study.sweep.engine import sweep as sweep
+    from panda_cosim.study.sweep.sweeping import sweep as sweep
     from panda_cosim.task.criteria import SignalCriterion as SignalCriterion
     from panda_cosim.task.criteria import Success as Success
     from panda_cosim.task.scenario import Push as Push
@@ -54,7 +54,7 @@ _NAMES = {
     "task.table": "TableRow TrajectoryTable",
     "task.trajectory": "Trajectory",
     "study.sweep.definition": "Sweep",
-    "study.sweep.engine": "sweep",
+    "study.sweep.sweeping": "sweep",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

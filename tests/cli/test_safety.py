@@ -92,7 +92,7 @@ from pathlib import Path
 import fmpy, fmpy.fmi2, fmpy.model_description, mujoco, numpy, pyarrow.parquet
 import panda_cosim.fmus.sources.targets
 from panda_cosim.fmus.sources.python_fmu import slave_fmu
-from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.study.sweep.sweeping import sweep
 
 folder, slave, out = map(Path, sys.argv[1:])
 sys.path.insert(0, "")

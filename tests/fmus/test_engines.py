@@ -30,7 +30,7 @@ from panda_cosim.study.compare.engines import (
 from panda_cosim.study.compare.outcome import Outcome
 from panda_cosim.study.compare.reference import Reference
 from panda_cosim.study.sweep.definition import sweep_of
-from panda_cosim.study.sweep.engine import sweep
+from panda_cosim.study.sweep.sweeping import sweep
 from panda_cosim.task.tolerances import Tolerances
 from regress_support import CONTENT, SUMMARY, columns, record
 

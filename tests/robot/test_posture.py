@@ -12,7 +12,7 @@ from panda_cosim.controller.gains import Gains
 from panda_cosim.controller.model import ArmModel
 from panda_cosim.fmus.errors import InputError
 from panda_cosim.task.table import TableRow, TrajectoryTable, read_tables
-from panda_cosim.task.timing.reference import joint_reference
+from panda_cosim.task.timing.joint_reference import joint_reference
 from panda_cosim.task.trajectory import StartPose
 from panda_cosim.task.writer import write_scenario
 

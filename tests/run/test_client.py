@@ -20,8 +20,8 @@ from fault_support import processes_with
 from forked import QUIET, command
 from panda_cosim import Options, Recording, Session, SimulationError, load_scenario, run_scenario
 from panda_cosim.run import prepare as preparation
-from panda_cosim.run.client import addressed
 from panda_cosim.run.replay import replay
+from panda_cosim.run.running_client import addressed
 from refusals import refused
 
 SLAVES = Path(__file__).parents[1] / "slaves"

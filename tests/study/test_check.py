@@ -16,7 +16,7 @@ from panda_cosim.result.judging.advice import advise, weakest_grip
 from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import check_folder, rehearse
 from panda_cosim.study.sweep.definition import load_sweep
-from panda_cosim.study.sweep.engine import check_sweep
+from panda_cosim.study.sweep.sweeping import check_sweep
 from panda_cosim.task.writer import make_scenario, write_scenario
 from refusals import refused
 

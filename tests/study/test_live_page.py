@@ -25,7 +25,7 @@ from panda_cosim import Recording, Session, load_scenario, run_scenario
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.tubes import distances, widths
 from panda_cosim.study.live.alone import refuse_outside
-from panda_cosim.study.live.criteria import criteria_of
+from panda_cosim.study.live.judged import criteria_of
 from panda_cosim.study.live.page import offset_of
 from panda_cosim.task.criteria import SignalCriterion
 from panda_cosim.task.scenario import shipped_scenarios

@@ -16,8 +16,8 @@ from panda_cosim.study.sweep.definition import (
     sweep_of,
 )
 from panda_cosim.study.sweep.design import Design, keys_without_effect
-from panda_cosim.study.sweep.engine import check_sweep
 from panda_cosim.study.sweep.packed import load_scenarios
+from panda_cosim.study.sweep.sweeping import check_sweep
 from refusals import refused
 from sweep_support import MASS, short_scenario
 

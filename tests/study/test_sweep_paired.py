@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panda_cosim.cli.commands.sweep import compare
-from panda_cosim.study.sweep.engine import sweep
 from panda_cosim.study.sweep.paired import Difference, Paired, pair
+from panda_cosim.study.sweep.sweeping import sweep
 from refusals import refused
 from sweep_support import FORCE, short_sweep
 

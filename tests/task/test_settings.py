@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panda_cosim import InputError, Options, Scenario, Session, load_scenario
-from panda_cosim.cli.options import values_of
+from panda_cosim.cli.common import values_of
 from panda_cosim.fmus.interface.parameters import expand
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.run.prepare import prepare

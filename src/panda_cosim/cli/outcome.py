@@ -33,8 +33,8 @@ from ..run.finished import PLOT_FILE, VIDEO_FILE, Run
 from ..run.folder import claimed_folder
 from ..task.scenario import Scenario
 from . import INTERRUPTS
+from .common import announce_build, announce_python
 from .console import progress, show, show_file, show_json, table, tell, warn
-from .options import announce_build, announce_python
 from .startup import meanwhile
 
 if TYPE_CHECKING:

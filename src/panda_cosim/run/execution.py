@@ -20,7 +20,6 @@ from ..result.judging.verdicts import ENDED, FAILED, STOPPED, TIMEOUT
 from ..task.scenario import Scenario, load_scenario
 from ..task.typed import typed
 from ..task.values import Values
-from .client import Client, addressed
 from .exits import exit_guard
 from .finished import Run
 from .folder import claimed_folder
@@ -29,6 +28,7 @@ from .journal import Action, Adjustments, End
 from .options import Options
 from .output import Output
 from .prepare import Prepared, prepare
+from .running_client import RunningClient, addressed
 from .stopping import StopRequest, stopping_on_signals
 
 Progress = Callable[[int, int], None]  # completed and total steps
@@ -104,7 +104,7 @@ class Execution:
         self.actions: list[Action] = []
         self.warnings: list[str] = self.prepared.notes
         self.failure = ""
-        self._client: Client | None = None
+        self._client: RunningClient | None = None
         self._summary: Summary | None = None  # of a failed run only if its recording can be read
 
     def open(self) -> Self:
@@ -135,7 +135,7 @@ class Execution:
                 if prepared.listening:  # a program gives up soon if it waits for an import here
                     import_module("pyarrow.parquet")
                 if self.scenario.client:
-                    self._client = Client(prepared, tells=self._writes)
+                    self._client = RunningClient(prepared, tells=self._writes)
                     stack.callback(self._client.end)
             self._stack = stack.pop_all()
         return self

@@ -22,9 +22,7 @@ from ...study.analysis.plot import draw_analyses
 from ...task.files import marked_json
 from ...task.scenario import Scenario, load_scenario
 from ...task.values import Values
-from ..console import Item, show_result, table, tell, warn
-from ..forms import argument, flag, option
-from ..options import (
+from ..common import (
     CONTROLLER,
     DEFAULT_SCENARIO,
     JSON,
@@ -35,6 +33,8 @@ from ..options import (
     find_scenario,
     values_of,
 )
+from ..console import Item, show_result, table, tell, warn
+from ..forms import argument, flag, option
 
 LEFT_OUT = "larger signals, at which limits are met or contacts change; noise; other poses"
 NUMBERS_FILE, PLOT_FILE, MODEL_FILE = "analysis.json", "loops.png", "analysis.npz"

@@ -11,9 +11,9 @@ from ...fmus.atomic import check_replaceable, write_whole
 from ...fmus.sources.targets import Kind
 from ...study.benchmark import LABELS, RATIOS, BenchResult, bench
 from ...task.files import marked_json
+from ..common import KIND, OVERWRITE, announce_python
 from ..console import show, table, tell
 from ..forms import option
-from ..options import KIND, OVERWRITE, announce_python
 
 
 def command(

@@ -26,9 +26,7 @@ from ...run.written import written_system
 from ...study.check.embedding import add_experiment, experiments_of
 from ...study.check.experiments import Experiment
 from ...task.scenario import Scenario
-from ..console import show_file, warn
-from ..forms import argument, flag, option
-from ..options import (
+from ..common import (
     DEFAULT_SCENARIO,
     FMI,
     KIND,
@@ -45,6 +43,8 @@ from ..options import (
     target_of,
     values_of,
 )
+from ..console import show_file, warn
+from ..forms import argument, flag, option
 
 SYSTEM_FILE: Final = "Panda.ssp"
 

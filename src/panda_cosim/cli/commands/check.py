@@ -18,9 +18,9 @@ from ...study.check.experiments import check_experiments
 from ...study.check.motion import check_motion
 from ...task.scenario import load_scenario
 from ...task.values import Values
+from ..common import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, SSV, Robot, end, values_of
 from ..console import show_result
 from ..forms import scenario_argument
-from ..options import CONTROLLER, JSON, PLANT, ROBOT, SETTINGS, SSV, Robot, end, values_of
 from ..outcome import STYLES
 
 FILES: Final = {".fmu", ".ssp", *SUFFIXES}  # other than folders of scenarios

@@ -11,9 +11,9 @@ from rich.text import Text
 from ...fmus.atomic import check_replaceable, write_whole
 from ...study.compare.between_runs import RunComparison, compare
 from ...study.compare.wording import signal_names
+from ..common import JSON, MAP, OVERWRITE
 from ..console import Item, show_result, table
 from ..forms import argument, option
-from ..options import JSON, MAP, OVERWRITE
 
 SHOWN = 8  # rows of a table
 PAGE = "compare.html"

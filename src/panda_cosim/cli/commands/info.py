@@ -26,9 +26,9 @@ from ...result.view.model import describe
 from ...run.system.assembly import assemble, system_scenario
 from ...run.system.parts import UnreadSlaveError
 from ...task.scenario import SCENARIO_FILE, Scenario
+from ..common import JSON, announce_python
 from ..console import WIDEST, Item, show_result, table
 from ..forms import argument, flag, option
-from ..options import JSON, announce_python
 
 _COLUMNS = ("name", "unit*", "start*", "range*", "description*")
 WIDTH = 100  # characters of a line

@@ -19,9 +19,7 @@ from ...study.live.simulation import Simulation
 from ...task.scenario import Scenario
 from ...task.values import Values
 from .. import ending
-from ..console import show, warn
-from ..forms import flag, option
-from ..options import (
+from ..common import (
     KIND,
     OPEN_PAGE,
     OUT_RUN,
@@ -31,6 +29,8 @@ from ..options import (
     find_scenario,
     values_of,
 )
+from ..console import show, warn
+from ..forms import flag, option
 
 
 def command(  # noqa: PLR0913 - one for each option

@@ -10,9 +10,9 @@ from ...study.check.experiments import import_experiment
 from ...task.files import as_argument
 from ...task.scenario import TABLE_FILE, Scenario, shipped_scenarios
 from ...task.writer import make_scenario, write_input_csv
+from ..common import JSON, OVERWRITE, SCENARIO, SETTINGS, find_scenario, values_of
 from ..console import show, show_json, table
 from ..forms import argument, flag, option
-from ..options import JSON, OVERWRITE, SCENARIO, SETTINGS, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option

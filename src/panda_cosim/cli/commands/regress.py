@@ -39,9 +39,7 @@ from ...study.compare.wording import multiple
 from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
 from ...study.work import cores
 from ...task.scenario import Scenario
-from ..console import Item, progress, show, show_file, show_result, table, warn
-from ..forms import argument, flag, option
-from ..options import (
+from ..common import (
     ENGINES,
     JSON,
     KIND,
@@ -52,6 +50,8 @@ from ..options import (
     end,
     values_of,
 )
+from ..console import Item, progress, show, show_file, show_result, table, warn
+from ..forms import argument, flag, option
 from ..outcome import STYLES
 
 REPORT_FILE, JUNIT_FILE = "report.html", "junit.xml"

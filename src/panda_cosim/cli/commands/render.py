@@ -20,9 +20,9 @@ from ...result.view.run import Shown
 from ...run.finished import FIGURE_FILE, PLOT_FILE, SHEET_FILE, VIDEO_FILE
 from ...study.compare.reference import REFERENCE_FILE
 from ...study.compare.views import reference_of, shown_reference
+from ..common import MAP, OPEN_PAGE, OVERWRITE, RUN
 from ..console import show, show_file, tell
 from ..forms import argument, option
-from ..options import MAP, OPEN_PAGE, OVERWRITE, RUN
 from ..outcome import PLOTTING, TILING, draw_video
 
 

@@ -20,9 +20,9 @@ from ...task.scenario import MAX_DURATION, SCENARIO_FILE, TABLE_FILE, Scenario
 from ...task.table import TrajectoryTable
 from ...task.timing.demand import Shares
 from ...task.writer import write_scenario
+from ..common import ROBOT, SCENARIO, SETTINGS, Robot, find_scenario, values_of
 from ..console import show, table, tell
 from ..forms import flag, option, scenario_argument
-from ..options import ROBOT, SCENARIO, SETTINGS, Robot, find_scenario, values_of
 
 
 def command(  # noqa: PLR0913 - one for each option

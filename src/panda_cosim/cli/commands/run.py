@@ -16,9 +16,7 @@ from ...run.prepare import prepare
 from ...run.stopping import stopping_on_signals
 from ...run.system.assembly import system_scenario, with_parameter_set
 from ...task.scenario import Scenario
-from ..console import tell
-from ..forms import argument, flag, option, scenario_argument
-from ..options import (
+from ..common import (
     CONTROLLER,
     DEFAULT_SCENARIO,
     ISOLATE,
@@ -37,6 +35,8 @@ from ..options import (
     find_scenario,
     values_of,
 )
+from ..console import tell
+from ..forms import argument, flag, option, scenario_argument
 from ..outcome import Output, draw_view, perform
 
 

@@ -22,18 +22,16 @@ from ...study.compare.reference import REFERENCE_FILE
 from ...study.sweep.again import promote_row, show_row
 from ...study.sweep.convergence import Convergence, convergence
 from ...study.sweep.definition import SAMPLED, Distribution, Sweep, load_sweep, sweep_of
-from ...study.sweep.engine import SweepResult, check_sweep
-from ...study.sweep.engine import sweep as run_sweep
 from ...study.sweep.fit import fit
 from ...study.sweep.paired import Paired, pair
 from ...study.sweep.report import REPORT_FILE, write_report
 from ...study.sweep.results import missing, share_bounds
 from ...study.sweep.row import STATUSES, UNJUDGED, Row
 from ...study.sweep.store import Store
+from ...study.sweep.sweeping import SweepResult, check_sweep
+from ...study.sweep.sweeping import sweep as run_sweep
 from ...task.files import as_argument
-from ..console import Item, progress, show, show_file, show_result, table, tell, warn
-from ..forms import argument, option
-from ..options import (
+from ..common import (
     ENGINES,
     JSON,
     MAP,
@@ -44,6 +42,8 @@ from ..options import (
     announce_build,
     end,
 )
+from ..console import Item, progress, show, show_file, show_result, table, tell, warn
+from ..forms import argument, option
 from ..outcome import write_case
 
 if TYPE_CHECKING:

@@ -48,7 +48,7 @@ from ...task.client import MissingPackageError
 from ...task.files import as_argument
 from ...task.scenario import SCENARIO_FILE, TABLE_FILE, Scenario, is_shipped
 from ...task.timing.demand import LimitViolation, find_violations
-from ...task.timing.reference import joint_reference
+from ...task.timing.joint_reference import joint_reference
 from ...task.values import Values
 from .suggestions import suggestions
 

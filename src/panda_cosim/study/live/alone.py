@@ -34,7 +34,7 @@ from ...task.fields import check_rules
 from ...task.scenario import Scenario
 from ...task.trajectory import COMMANDS, POSTURE_COMMANDS, Trajectory, turns
 from ...task.writer import write_scenario
-from .criteria import criteria_of
+from .judged import criteria_of
 
 MODULES: Final = ("plant", "controller")
 DIGITS: Final = 12  # of a spline's derivatives after the point; those of far rows are 0

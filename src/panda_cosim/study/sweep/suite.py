@@ -13,8 +13,8 @@ from ...result.judging.criterion import miss_text
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ..compare.outcome import Outcome, Unusable, Verdict
 from .definition import Sweep
-from .engine import sweep
 from .report import write_report
+from .sweeping import sweep
 
 FILE: Final = "sweep.toml"
 

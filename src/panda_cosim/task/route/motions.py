@@ -15,7 +15,7 @@ from ...controller.limits import APPROACH_RATE
 from ...fmus.errors import InputError
 from ..table import TrajectoryTable, world_table
 from ..timing.demand import demands
-from ..timing.reference import JointReference
+from ..timing.joint_reference import JointReference
 from ..timing.stretched import ORDERS
 from ..trajectory import Trajectory
 from .scene import RouteScene

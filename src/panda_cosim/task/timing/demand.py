@@ -16,7 +16,7 @@ from ...controller.model import load_arm
 from ..limits import LIMITS, LIMITS_OF, shares
 from ..table import TrajectoryTable
 from ..trajectory import TIME_TOLERANCE, Trajectory
-from .reference import JointReference, rates
+from .joint_reference import JointReference, rates
 
 Shares = dict[str, float]
 

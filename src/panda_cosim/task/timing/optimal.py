@@ -35,8 +35,8 @@ from .demand import (
     largest,
     remedy,
 )
+from .joint_reference import JointReference, joint_reference
 from .path import Motion, motions
-from .reference import JointReference, joint_reference
 from .time_law import (
     BOUNDED,
     NODES,

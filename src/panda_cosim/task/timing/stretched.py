@@ -31,8 +31,8 @@ from .demand import (
     find_violations,
     remedy,
 )
+from .joint_reference import JointReference, joint_reference
 from .path import STILL, segment_lengths
-from .reference import JointReference, joint_reference
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 ORDERS: Final[Mapping[str, float]] = _TABLES["orders"]

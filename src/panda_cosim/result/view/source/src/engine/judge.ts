@@ -1,6 +1,6 @@
 // Judges a run by the scenario's simple criteria: a number of each row, reduced over all of them.
 
-/** What src/panda_cosim/study/live/criteria.py writes; of a criterion that is not simple, the name alone. */
+/** What src/panda_cosim/study/live/judged.py writes; of a criterion that is not simple, the name alone. */
 export interface CriterionData {
   name: string;
   direction: "below" | "above";

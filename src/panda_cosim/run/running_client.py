@@ -53,7 +53,7 @@ def _is_free(place: tuple[str, int]) -> bool:
     return False
 
 
-class Client:
+class RunningClient:
     """The program of a scenario, from when its FMUs are open to the end of the run.
 
     `Execution.open` starts one. What the program prints is passed on if it `tells`, and its last
