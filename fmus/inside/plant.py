@@ -41,15 +41,13 @@ class PlantSlave(SharedSlave):
         self._count()
 
     def get_state(self) -> bytes:
-        """MuJoCo's state for integration."""
+        """MuJoCo's state for integration, inputs and outputs."""
         return self._plant.get_state().tobytes()
 
     def set_state(self, state: bytes) -> None:
-        """Restore it; the outputs have been restored with the values."""
-        outputs = self._outputs.copy()
+        """Restore it, and the outputs."""
         with self._logged():
             self._plant.set_state(np.frombuffer(state))
-        self._outputs[:] = outputs
         self._seen = self._plant.warnings[: COUNTED.size].copy()
 
     def _count(self) -> None:

@@ -195,8 +195,7 @@ def own_code(name: str) -> dict[str, bytes]:
 
     own = OWN[name]
     code = code_of(ROOT / f"{own.slave[0].replace('.', '/')}.py", ROOT)
-    limits = (f"{robot}.toml" for robot in LIMIT_FILES)
-    of_assets = (f"assets/{name}" for name in (*own.assets, *limits))
+    assets = map("assets/{}".format, (*own.assets, *map("{}.toml".format, LIMIT_FILES)))
     beside = (str(Path(file).with_suffix(".toml")) for file in code)  # a module's table
-    files = (file for name in (*of_assets, *beside) for file in sorted(ROOT.glob(name)))
+    files = (file for name in (*assets, *beside) for file in sorted(ROOT.glob(name)))
     return code | {file.relative_to(ROOT).as_posix(): file.read_bytes() for file in files}
