@@ -200,6 +200,14 @@ def test_a_stamp_is_only_renewed_if_c_and_python_are_equal(tmp_path):
     assert stamp.read_bytes() != before
 
 
+def test_the_readme_of_fmus_names_files_that_exist_and_all_in_c():
+    text = (ROOT / "fmus" / "README.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"`([\w./*]+\.(?:py|c|h|toml|json))`", text))
+    places = [ROOT / "fmus", *(ROOT / "fmus").iterdir(), ROOT]
+    assert not [name for name in names if not any([*place.glob(name)] for place in places)]
+    assert not [c for c in (ROOT / "fmus" / "native").glob("*.c") if not any(map(c.match, names))]
+
+
 def test_every_path_exists():
     spans = re.findall(r"`([^`\n]+)`", TEXT)
     paths = {span for span in spans if re.fullmatch(r"\.?[a-z]\w*/[\w./]*", span)}
