@@ -218,7 +218,7 @@ def _parsed(variable: Variable, text: str) -> Value:
 
 
 @cache
-def _fmpy() -> Any:
+def load_fmpy() -> Any:
     """Import FMPy, which takes 0.2 s, and says on ARM that it has no proxy for loggers there."""
     with redirect_stdout(StringIO()):
         import fmpy  # noqa: PLC0415 - see above
@@ -226,7 +226,7 @@ def _fmpy() -> Any:
 
 
 def _read_description(label: str, folder: Path, root: ET.Element) -> Any:
-    read_model_description = _fmpy().read_model_description
+    read_model_description = load_fmpy().read_model_description
     place = f"{label}: modelDescription.xml"
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version not in VERSIONS:
@@ -252,7 +252,7 @@ def _read_description(label: str, folder: Path, root: ET.Element) -> Any:
 
 def library_of(label: str, folder: Path, description: Any) -> Path:
     """Return the FMU's library for this platform."""
-    fmpy = _fmpy()
+    fmpy = load_fmpy()
     platforms = [fmpy.platform_tuple]
     if description.fmiVersion == "2.0":  # whose names are those of x86; FMPy has no others
         platforms.insert(0 if platforms[0].startswith("x86") else 1, fmpy.platform)

@@ -135,14 +135,13 @@ class Kernel:
         )  # fmt: skip
         return taken, self._course.filled
 
-    def serve(self, socket: int, order: Array) -> int:
-        """Take the steps that another process asks for, until it asks for something else: 0.
+    def serve(self, order: Array) -> int:
+        """Take the steps that another process asks for, until it asks to listen: 0.
 
         Also until a step still needs an answer: 1, it has failed; `STEPPED`, it has not.
         """
         where = ctypes.c_void_p(order.ctypes.data)
-        course = ctypes.byref(self._course)
-        return int(load_stepper().panda_serve_steps(course, ctypes.c_int(socket), where))
+        return int(load_stepper().panda_serve_steps(ctypes.byref(self._course), where))
 
     def account(self) -> None:
         """Add the time of the calls so far to `spent` of their FMUs, once."""

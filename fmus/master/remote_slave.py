@@ -2,7 +2,7 @@
 
 A request is (inputs to set first, method, arguments), a reply (error or None, result, messages).
 Float64 values are in memory that both processes share, others go with requests. Where C can take
-the steps on both sides, they are asked for and answered by one byte.
+the steps on both sides, they are asked for and answered by a word in that memory.
 """
 
 from __future__ import annotations
@@ -13,14 +13,11 @@ import math
 import mmap
 import os
 import signal
-import socket
-import struct
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partialmethod
-from pathlib import Path
 from time import perf_counter
 from types import SimpleNamespace
 from typing import Any, Final, NoReturn
@@ -32,15 +29,16 @@ from ..interface.variables import Value
 from ..processes import Child, listen
 from .calls import Experiment, OnMessage, Spent, unheard
 from .fmu import REALS
-from .fmu_file import Fmu
-from .kernel import GONE, LATE, STEPPED, Kernel, make_kernel
+from .fmu_file import Fmu, load_fmpy
+from .kernel import GONE, LATE, STEPPED, Kernel, load_stepper, make_kernel
 from .step import Step
 from .wiring import Array, Moved, Shared, nothing
 
 START_TIMEOUT = 30.0  # [s] for all requests but a step, if there is a step timeout
 CLOSE_TIMEOUT = 5.0  # [s] for freeing the instance
 LEAVE_TIMEOUT = 1.0  # [s] for a process to end after its connection is closed
-ORDER: Final = 2  # begin and size of a step [s], the first two values of the shared memory
+# The shared memory begins with that of a step [s], its size [s], and what was said last.
+ORDER: Final = 3
 HEARD, ENDED_AT_END, FAILED = range(1, 4)  # as in stepper.c
 # A new interpreter, not a fork: after a fork, locks of this process's threads would stay locked.
 _CHILD: Final = (
@@ -92,7 +90,7 @@ class RemoteSlave:
     def enter_initialization(self, values: Mapping[str, Value], experiment: Experiment) -> None:
         """Open the FMU, set start values and enter initialization mode."""
         self.stop = experiment.stop
-        self.step.in_c = self.call("open", self.name, str(self.fmu.path.absolute()), self.fmu.sizes)
+        self.step.in_c = self.call("open", self.name, self.fmu)
         self.call("enter_initialization", dict(values), experiment)
 
     def _bind(self, method: str, names: Sequence[str], block: Array) -> Moved:
@@ -170,7 +168,7 @@ class RemoteSlave:
 class _Remote(ctypes.Structure):
     _fields_ = [
         ("socket", ctypes.c_int32), ("heard", ctypes.c_int32), ("asked", ctypes.c_int32),
-        ("order", ctypes.c_void_p), ("interrupted", ctypes.c_void_p),
+        ("order", ctypes.c_void_p), ("interrupted", ctypes.c_void_p), ("limit", ctypes.c_double),
     ]  # fmt: skip
 
 
@@ -181,14 +179,10 @@ class RemoteStep:
     in_c = False  # whether C can ask for it
 
     def __init__(self, slave: RemoteSlave, descriptor: int) -> None:
-        self.slave, self._socket = slave, descriptor
+        self.slave = slave
         interrupted = ctypes.cast(_INTERRUPTED, ctypes.c_void_p).value
-        self._remote = _Remote(descriptor, 0, 0, slave.memory.ctypes.data, interrupted)
-        if slave.step_timeout is not None:
-            part, whole = math.modf(min(slave.step_timeout, 1e9))
-            limit = struct.pack("ll", int(whole), max(int(1e6 * part), 1))
-            with socket.socket(fileno=os.dup(descriptor)) as own:
-                own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+        limit = math.inf if slave.step_timeout is None else slave.step_timeout
+        self._remote = _Remote(descriptor, 0, 0, slave.memory.ctypes.data, interrupted, limit)
 
     def __call__(self, time: float, step_size: float) -> None:
         """Take a step; raises SimulationError if it fails, or if the process ends or is late."""
@@ -202,10 +196,9 @@ class RemoteStep:
         return {"instance": ctypes.addressof(self._remote)}
 
     def end(self) -> None:
-        """Take the answer of a step that C has asked for and not awaited, as another has failed."""
-        if self._remote.asked:
-            self._remote.asked = 0
-            os.read(self._socket, 1)
+        """End waiting for steps in C, on both sides; raises OSError if an answer is not to come."""
+        if self.in_c and load_stepper().panda_listen(ctypes.byref(self._remote)) in (LATE, GONE):
+            raise EOFError
 
     def hear(self) -> None:
         """Hear messages that were logged while C asked for steps."""
@@ -239,7 +232,8 @@ def serve(file: int, descriptor: int, parent: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
     connection = listen(descriptor, parent)
-    host = _Host(_mapped(file), socket.socket(fileno=os.dup(descriptor)))
+    load_fmpy()  # now, when those of the other FMUs do so, too
+    host = _Host(_mapped(file))
     os.close(file)
     with suppress(EOFError, OSError):
         while True:
@@ -262,9 +256,8 @@ def _tried(call: Callable[..., Any], *arguments: Any) -> tuple[CosimError | None
 class _Host:
     """Executes requests, and takes steps."""
 
-    def __init__(self, memory: Array, asked: socket.socket) -> None:
-        self._memory, self._socket = memory, asked
-        self._rows = memory.reshape(1, -1)
+    def __init__(self, memory: Array) -> None:
+        self._memory, self._rows = memory, memory.reshape(1, -1)
         self._messages: list[tuple[str, ...]] = []
         self._wants_answer = ctypes.c_int32()  # set by a message, so that C returns
         self._inputs = self._outputs = self._rows[:, :0]  # values (1, n)
@@ -275,14 +268,14 @@ class _Host:
         self._error: CosimError | None = None  # of the last step in C
 
     def serve_steps(self) -> None:
-        """Take the steps that are asked for in C, until something else is."""
-        while self._kernel and (taken := self._kernel.serve(self._socket.fileno(), self._memory)):
-            time, self._step.size = self._memory[:ORDER].tolist()
+        """Take the steps that are asked for in C, until a request is."""
+        while self._kernel and (taken := self._kernel.serve(self._memory)):
+            time, self._step.size, _ = self._memory[:ORDER].tolist()
             self._error, _ = _tried(self._kernel.check, time + (taken == STEPPED) * self._step.size)
             answer = FAILED if self._error else HEARD
             if self._step.ended:
                 self._error, answer = self._step.ended, ENDED_AT_END
-            self._socket.send(bytes([answer]))
+            load_stepper().panda_say(ctypes.c_void_p(self._memory.ctypes.data), answer)
 
     def told(self) -> CosimError | None:
         """Return the error of the last step in C, if it has one."""
@@ -306,11 +299,10 @@ class _Host:
             self._bound.set_inputs(0)
         return getattr(self if hasattr(self, method) else self._slave, method)(*arguments)
 
-    def open(self, name: str, path: str, sizes: Mapping[str, int]) -> bool:
+    def open(self, name: str, fmu: Fmu) -> bool:
         """Make the slave; returns, as `bind`, whether C can take its steps."""
-        from .fmi import open_slave  # noqa: PLC0415 - FMPy takes 0.2 s
+        from .fmi import open_slave  # noqa: PLC0415 - FMPy takes 0.1 s
 
-        fmu = Fmu(Path(path)).restructured(sizes)
         self._slave = open_slave(name, fmu, self.hear)
         self._bound.step = self._slave.step
         self._step.leaders = [self._bound]

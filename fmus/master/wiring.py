@@ -6,14 +6,16 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
-from ..interface.tables import Connection
 from ..interface.units import PLAIN
+
+if TYPE_CHECKING:
+    from ..interface.tables import Connection  # an isolated FMU's process needs no tables
 
 Array = NDArray[np.float64]
 Exchange = Callable[[int], None]  # of one row, by its index

@@ -5,7 +5,7 @@
  * the recording, which FMUs read and write in place; those that an FMU wants in another order go through
  * `values`. Python's lock is released meanwhile, as in each single call.
  */
-#define _POSIX_C_SOURCE 200112L
+#define _GNU_SOURCE
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -14,10 +14,15 @@
 #include <windows.h>
 #define EXPORT __declspec(dllexport)
 #else
-#include <errno.h>
-#include <sys/socket.h>
 #include <time.h>
 #define EXPORT __attribute__((visibility("default")))
+#endif
+#if defined(__linux__)
+#include <errno.h>
+#include <linux/futex.h>
+#include <sys/socket.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 #endif
 
 typedef enum { SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK } action;
@@ -25,9 +30,10 @@ typedef enum { SET_INPUTS, STEP, GET_OUTPUTS, COMPLETE, FEED_BACK } action;
 /* Statuses beyond those of FMI. */
 enum { WARNING = 1, ENDED = 100, EARLY, NOT_FINITE, EVENT, LATE, GONE, TOLD };
 
-/* What is said through the socket to an FMU's process, and its answers: one byte each. Values are in memory
- * that both share. */
-enum { TAKE_STEP = 's', DONE = 0, HEARD, ENDED_AT_END, FAILED };
+/* What is said to an FMU's process, and its answers, in memory that both share. */
+enum { DONE, HEARD, ENDED_AT_END, FAILED, TAKE_STEP, LISTEN };
+
+static const double GLANCE = 0.05; /* [s] after which it is seen whether a process that does not answer is there */
 
 static const double ROUNDING = 1e-9; /* of a step: an FMU's clock may sum */
 
@@ -60,13 +66,20 @@ typedef struct {
     double seconds;                   /* that it took so far, if it is timed */
 } call;
 
+/* The begin of that memory. */
+typedef struct {
+    double time, size; /* [s] of the step to take */
+    uint32_t said;     /* last: an order, or its answer */
+} order;
+
 /* An FMU in a process of its own: the `instance` of its calls. */
 typedef struct {
     int32_t socket;
     int32_t heard;             /* set if it has logged messages, which wait there */
     int32_t asked;             /* set from asking for a step to its answer */
-    double *order;             /* begin and size of the step that it is to take [s] */
+    order *order;
     void (*interrupted)(void); /* called if a signal comes while it is waited for */
+    double limit;              /* of this wait [s] */
 } remote;
 
 typedef struct {
@@ -113,7 +126,7 @@ static double converted(const call *c, size_t i, double value)
     return c->linear ? c->linear[2 * i] * value + c->linear[2 * i + 1] : value;
 }
 
-static unsigned access(const call *c, double *row)
+static unsigned exchange(const call *c, double *row)
 {
     double *values = c->values ? c->values : row + c->column;
     if (c->action == SET_INPUTS)
@@ -127,28 +140,52 @@ static unsigned access(const call *c, double *row)
     return status;
 }
 
-#if defined(_WIN32)
-static void ask(remote *f, double time, double size) {}
-static unsigned answer(remote *f) { return GONE; }
-#else
+#if defined(__linux__)
+EXPORT void panda_say(order *o, uint32_t word)
+{
+    __atomic_store_n(&o->said, word, __ATOMIC_RELEASE);
+    syscall(SYS_futex, &o->said, FUTEX_WAKE, 1, NULL, NULL, 0);
+}
+
+static uint32_t said(const order *o) { return __atomic_load_n(&o->said, __ATOMIC_ACQUIRE); }
+
+/* Waits for another word, or for some time [s]. */
+static void await(order *o, uint32_t word, double seconds)
+{
+    const struct timespec limit = {(time_t)seconds, (long)(1e9 * (seconds - (double)(time_t)seconds))};
+    if (syscall(SYS_futex, &o->said, FUTEX_WAIT, word, &limit, NULL, 0) == 0) errno = 0;
+}
+
 static void ask(remote *f, double time, double size)
 {
-    const char byte = TAKE_STEP;
-    f->order[0] = time, f->order[1] = size;
-    f->asked = send(f->socket, &byte, 1, 0) == 1;
+    f->order->time = time, f->order->size = size;
+    f->asked = 1;
+    panda_say(f->order, TAKE_STEP);
+}
+
+static bool is_gone(const remote *f)
+{
+    char byte;
+    const ssize_t count = recv(f->socket, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
+    return count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR);
 }
 
 static unsigned answer(remote *f)
 {
-    char byte;
-    ssize_t count;
-    if (!f->asked) return GONE;
     f->asked = 0;
-    while ((count = recv(f->socket, &byte, 1, 0)) < 0 && errno == EINTR) f->interrupted();
-    if (count != 1) return count < 0 && (errno == EAGAIN || errno == EWOULDBLOCK) ? LATE : GONE;
-    f->heard |= byte == HEARD;
-    return byte == FAILED ? TOLD : byte == ENDED_AT_END ? ENDED : 0;
+    for (const double until = now() + f->limit; said(f->order) == TAKE_STEP;) {
+        const double rest = until - now();
+        if (rest <= 0.0) return LATE;
+        await(f->order, TAKE_STEP, rest < GLANCE ? rest : GLANCE);
+        if (errno == EINTR) f->interrupted();
+        else if (errno == ETIMEDOUT && is_gone(f) && said(f->order) == TAKE_STEP) return GONE;
+    }
+    f->heard |= said(f->order) == HEARD;
+    return said(f->order) == FAILED ? TOLD : said(f->order) == ENDED_AT_END ? ENDED : 0;
 }
+#else
+static void ask(remote *f, double time, double size) {}
+static unsigned answer(remote *f) { return GONE; }
 #endif
 
 static unsigned step(course *r, const call *c, double time)
@@ -189,7 +226,7 @@ static unsigned carry_out(course *r, const call *c, int64_t k, double time)
     case FEED_BACK:
         for (size_t i = 0; i < c->moved; i++) row[r->width + c->columns[i]] = row[c->columns[i]];
         return 0;
-    default: return access(c, c->later ? row + r->width : row);
+    default: return exchange(c, c->later ? row + r->width : row);
     }
 }
 
@@ -212,20 +249,31 @@ EXPORT int64_t panda_take_steps(course *r, int64_t tick, int64_t k, int64_t coun
     return count;
 }
 
-#if !defined(_WIN32)
-/* In an FMU's process: takes the steps that are asked for. Returns 0 before anything that is not a step, 1 after a
- * step that failed, and 2 after one that ended the simulation or logged messages; these are still to be answered. */
-EXPORT int panda_serve_steps(course *r, int socket, const double *order)
+#if defined(__linux__)
+/* Has an FMU's process listen to its socket, after a step that was asked for and not awaited, as another failed. */
+EXPORT unsigned panda_listen(remote *f)
 {
-    char byte;
-    while (recv(socket, &byte, 1, MSG_PEEK) == 1 && byte == TAKE_STEP && recv(socket, &byte, 1, 0) == 1) {
-        r->start = order[0], r->step_size = order[1];
+    const unsigned status = f->asked ? answer(f) : 0;
+    panda_say(f->order, LISTEN);
+    return status;
+}
+
+/* In an FMU's process: takes the steps that are asked for. Returns 0 when it is to listen, 1 after a step that
+ * failed, and 2 after one that ended the simulation or logged messages; these are still to be answered. */
+EXPORT int panda_serve_steps(course *r, order *o)
+{
+    for (uint32_t word; (word = said(o)) != LISTEN;) {
+        if (word != TAKE_STEP) {
+            await(o, word, 1e6);
+            continue;
+        }
+        r->start = o->time, r->step_size = o->size;
         panda_take_steps(r, 0, 0, 1, 1.0);
         if (r->status > WARNING) return 1;
         if (r->ended || *r->stop) return 2;
-        byte = DONE;
-        if (send(socket, &byte, 1, 0) != 1) return 0;
+        panda_say(o, DONE);
     }
+    o->said = DONE;
     return 0;
 }
 #endif

@@ -145,6 +145,26 @@ def test_an_ended_run_keeps_all_and_a_killed_one_all_but_half_a_second(
     assert processes_with(str(tmp_path)) == []
 
 
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [(signal.SIGKILL, "its process was ended by SIGKILL"), (signal.SIGSTOP, "no answer for 0.5 s")],
+)
+def test_an_fmu_whose_process_ends_or_stops_while_c_steps_it_is_told(
+    tmp_path, lasting, number, words
+):
+    options = {"isolate": True, "step_timeout": 0.5, "realtime": 1.0}
+    command = run_command(lasting, tmp_path / "run", **options)
+    environment = os.environ | {"MARK": str(tmp_path / "mark")}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with running(command, env=environment, **pipes) as process, killed_after(process):
+        line_of(process)
+        os.kill(processes_with(environment["MARK"], "remote_slave")[0], number)
+        assert words in process.communicate(timeout=30)[1].decode()
+        assert process.returncode == 1
+    assert words in str(Recording.open(tmp_path / "run").reason)
+    assert not processes_with(environment["MARK"])
+
+
 def test_a_step_that_hangs_can_be_left_by_asking_twice(tmp_path, faulty, lasting):
     command = run_command(lasting, tmp_path / "run", fmus={"plant": str(faulty)})
     environment = os.environ | {"FAULT": "hang@800"}
