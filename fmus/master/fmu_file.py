@@ -258,10 +258,12 @@ def library_of(label: str, folder: Path, description: Any) -> Path:
         platforms.insert(0 if platforms[0].startswith("x86") else 1, fmpy.platform)
     name = f"{description.coSimulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
     places = [Path("binaries", platform, name) for platform in platforms]
-    there = [folder / place for place in places if (folder / place).is_file()]
-    if not there:
-        raise InputError(f"{label}: no binary for this platform; {places[0]} is missing")
-    return there[0]
+    for place in places:
+        # Some tools name the library after the file; where it is the only one, it is meant.
+        found = [*(folder / place.parent).glob(f"*{fmpy.sharedLibraryExtension}")]
+        if len(found) == 1 or folder / place in found:
+            return found[0] if len(found) == 1 else folder / place
+    raise InputError(f"{label}: no binary for this platform; {places[0]} is missing")
 
 
 @cache

@@ -260,21 +260,25 @@ def test_two_engines_beside_each_other_are_refused(monkeypatch):
         identity.mujoco_version()
 
 
-@pytest.mark.parametrize(("names", "found"), [
-    (("linux64", "aarch64-linux"), "aarch64-linux"), (("linux64",), "linux64"), ((), None),
+@pytest.mark.parametrize(("files", "found"), [
+    (("linux64/box.so", "aarch64-linux/box.so"), 1), (("linux64/box.so",), 0), ((), None),
+    (("aarch64-linux/of_the_tool.so",), 0), (("aarch64-linux/a.so", "aarch64-linux/b.so"), None),
+    (("aarch64-linux/box.so", "aarch64-linux/a.so"), 0),
 ])  # fmt: skip
-def test_on_arm_the_library_is_that_for_arm(box, tmp_path, monkeypatch, names, found):
+def test_the_library_is_that_for_the_platform_by_name_or_the_only_one(
+    box, tmp_path, monkeypatch, files, found
+):
     fmu = Fmu(write(box, tmp_path / "box.fmu", ModelOptions()))
     monkeypatch.setattr(fmpy, "platform_tuple", "aarch64-linux")  # FMPy says linux64 there, too
-    for name in names:
-        (tmp_path / "binaries" / name).mkdir(parents=True)
-        (tmp_path / "binaries" / name / "box.so").touch()
+    places = [tmp_path / "binaries" / file for file in files]
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.touch()
     if found is None:
         with pytest.raises(InputError, match=r"binary .*; binaries/aarch64-linux/box\.so is miss"):
             library_of(fmu.label, tmp_path, fmu.description)
     else:
-        library = library_of(fmu.label, tmp_path, fmu.description)
-        assert library == tmp_path / "binaries" / found / "box.so"
+        assert library_of(fmu.label, tmp_path, fmu.description) == places[found]
 
 
 @pytest.mark.parametrize("clamps", [True, False])
