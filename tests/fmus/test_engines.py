@@ -24,7 +24,7 @@ from panda_cosim.study.compare.against_reference import compare_with_reference
 from panda_cosim.study.compare.engines import (
     changed_pairs,
     difference_of,
-    engine_rows,
+    engine_row,
     touching,
 )
 from panda_cosim.study.compare.outcome import Outcome
@@ -243,6 +243,9 @@ def test_noise_tells_rounding_from_change(tmp_path):
     assert told("early", 30, 1e-9) == f"beyond rounding, tick 30: {signal}"
     late = int(np.argmax(1e3 * np.maximum.accumulate(np.abs(noisy[signal] - own[signal])) > 1e-9))
     assert told("late", late + 1, 1e-9) == f"rounding, tick {late + 1}: {signal}"
+    lost = own | {signal: np.where(np.arange(rows) == 3, np.nan, own[signal])}  # in all of them
+    same = [record(tmp_path / name, lost) for name in "abc"]
+    assert difference_of(*same, Tolerances()) == "equal"
     short = {name: column[:-5] for name, column in columns().items()}
     assert (
         difference_of(*recordings, record(tmp_path / "short", short), Tolerances())
@@ -257,7 +260,7 @@ def test_contacts_that_an_engine_adds_or_takes_away_are_named(tmp_path):
         contact = {"unwanted": [{"bodies": bodies}]} if bodies else {}
         (tmp_path / name / "summary.json").write_text(json.dumps({**CONTENT, "contact": contact}))
         runs.append(Outcome(scenario, "same", tmp_path / name, 0.0))
-    ((_, other),) = engine_rows([scenario], 1, runs)
+    _, other = engine_row(*runs)
     assert other.difference == "equal; hand and table touch; block and hand touch no more"
 
 

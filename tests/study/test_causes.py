@@ -130,7 +130,7 @@ def test_a_changed_criterion_is_named_by_a_red_and_by_a_green_run(suite, tmp_pat
         told = command(*regress, "--report", tmp_path / "report", "--overwrite", code=code)
         (found,) = json.loads(told.stdout)["scenarios"]
         assert found["cause"].startswith(f"changed: success.{said}"), found["cause"]
-    assert "criteria differ" in told.stderr
+    assert "criteria or parameters differ" in told.stderr
     assert "<td class=num>0.15 s</td>" in (tmp_path / "report" / "report.html").read_text()
     assert "judged by other criteria" in command(*regress[:2], "--update", "--yes").stdout
     assert json.loads(command(*regress, code=0).stdout)["scenarios"][0]["cause"] == ""

@@ -13,10 +13,12 @@ import pytest
 from fault_support import write_files
 from forked import command as cli
 from forked import run_pytest, script
-from panda_cosim import shipped_scenarios
+from panda_cosim import load_scenario, shipped_scenarios
 from panda_cosim.fmus.sources.targets import build
+from panda_cosim.study.compare.outcome import Outcome, exit_code
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.regress import find_scenarios, start
+from panda_cosim.study.compare.repeats import merged
 from panda_cosim.study.work import Workers
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
@@ -279,3 +281,43 @@ def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path):
         refused = run_pytest(tmp_path, ".", "--panda-scenarios", name)
         assert refused.returncode == pytest.ExitCode.USAGE_ERROR, refused.stdout
         assert f"--panda-scenarios: {name}: {message}" in refused.stderr
+
+
+RANDOM = """import numpy as np
+class Law:
+    def update(self, time, qpos):
+        away = 1e-3 * (time > 0.1) * np.random.default_rng().random()
+        return np.hstack((qpos + away, 0.0))
+"""
+
+
+@pytest.fixture
+def erratic(approved, tmp_path):
+    """Return a suite of the short scenario, and of one in which no two runs are the same."""
+    shutil.copytree(approved, tmp_path / "mine" / "short")
+    folder = write_short(tmp_path / "mine" / "random")
+    (folder / "law.py").write_text(RANDOM)
+    settings = SETTINGS.replace("tracking_max", "max_unwanted_force").replace("0.005", "1e3")
+    (folder / "scenario.toml").write_text(f'{settings}[fmus]\ncontroller = "law.py:Law"\n')
+    report = ("--report", tmp_path, "--overwrite")
+    return ("regress", "--jobs", 1, "--scenarios", tmp_path / "mine", *report)
+
+
+def test_a_case_whose_repeats_differ_is_flaky_and_fails(erratic, tmp_path):
+    told = cli(*erratic, "--repeat", 3, "--json", code=1)
+    found = {each["name"]: each for each in json.loads(told.stdout)["scenarios"]}
+    assert (found["random"]["verdict"], found["short"]["verdict"]) == ("flaky", "same")
+    said = "2 of 2 repeats differ from the first run: the recording from tick 10"
+    assert found["random"]["reason"].startswith(said)
+    failure = ET.parse(tmp_path / "junit.xml").find(".//failure")
+    assert failure is not None
+    assert (failure.get("type"), failure.get("message")) == ("flaky", found["random"]["reason"])
+    assert said in (tmp_path / "report.html").read_text()
+
+
+def test_repeats_of_other_verdicts_are_shown_as_the_worst_of_them(tmp_path):
+    runs = [Outcome(load_scenario("push"), v, tmp_path, 1.0) for v in ("same", "differs", "same")]
+    flaky = merged(*runs)
+    assert (flaky.verdict, exit_code([flaky])) == ("flaky", 1)
+    assert flaky.reason.endswith("one is 'differs', the first 'same'")
+    assert merged(runs[0], runs[2]) is runs[0]

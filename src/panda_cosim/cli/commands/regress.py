@@ -18,8 +18,7 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
 from ...run.folder import default_folder
-from ...study.compare.causes import CRITERIA
-from ...study.compare.engines import engine_rows, variants
+from ...study.compare.engines import engine_row, variants
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
 from ...study.compare.outcome import Outcome, Unusable, exit_code, headline
@@ -34,6 +33,7 @@ from ...study.compare.regress import (
     run_suite,
     with_values,
 )
+from ...study.compare.repeats import merged
 from ...study.compare.report import write_report
 from ...study.compare.wording import multiple
 from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
@@ -73,6 +73,7 @@ def command(  # noqa: PLR0913 - one for each option
     yes: bool = flag("--yes -y"),
     qualify: float | None = option("--qualify SHARE", min=1e-6, max=10.0),
     min_score: float = option("--min-score", 0.0, min=0.0, max=1.0),
+    repeat: int = option("--repeat N", 1, min=1, max=1000),
     json: bool = JSON,
 ) -> None:
     """Run scenarios and compare each with its reference.
@@ -94,6 +95,9 @@ def command(  # noqa: PLR0913 - one for each option
     which tick on, which unwanted contacts are new or gone, which geoms touch at other ticks, and
     which signal leaves its tube first.
 
+    With `--repeat 3`, each scenario runs three times, and without sweeps. One whose runs differ in
+    verdict or recording is flaky, which fails.
+
     With `--qualify 0.05`, each parameter of each scenario is changed by 5 %, and a table says what
     notices it first: a signal or a criterion. Parameters that are 0 get a step of their own.
     Changes after which the same bits are recorded do not count. Exit code 3: fewer are noticed than
@@ -106,6 +110,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress --kind pythonfmu
     panda-cosim regress pick_and_place --qualify 0.05 --min-score 0.8
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
+    panda-cosim regress --repeat 3 --report report
     ```
 
     Args:
@@ -120,26 +125,29 @@ def command(  # noqa: PLR0913 - one for each option
         yes: With --update: do not ask.
         qualify: Change each parameter by a share, one at a time, and say which changes are noticed.
         min_score: With --qualify: the least share of changes to notice.
+        repeat: Number of runs of each scenario, which must not differ.
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
-    runs = list(with_values(variants(given, engines), values, ssv))
+    groups = [variants(each, engines, repeat) for each in given]
+    runs = list(with_values(chain(*groups), values, ssv))
     suite = Suite(runs, exact, jobs or cores(), kind)
     files = [report / name for name in (REPORT_FILE, JUNIT_FILE)] if report else []
     check_replaceable(*files, overwrite=overwrite)
     if qualify is not None:
         return _qualify(suite, qualify, min_score, files, json=json)
     # A reference, for instance, is made of a scenario alone.
-    is_whole = sweeps and not any((update, engines, kind != "auto"))
+    is_whole = sweeps and not any((update, engines, kind != "auto", repeat > 1))
     swept = _swept(given, values or ssv, folder) if is_whole else []
     if report:
         check_kept_runs(report / "runs", (each.name for each in (*runs, *swept)))
     announce_python(kind)
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(report or cache_folder()))  # on one disk
-        outcomes = [*_run(suite, place), *(_sweep(each, place, suite.jobs) for each in swept)]
-        rows = engine_rows(given, len(engines), outcomes) if engines else []
-        outcomes = [*chain.from_iterable(rows)] or outcomes
+        ran = iter(_run(suite, place))
+        rows = [[next(ran) for _ in group] for group in groups]
+        rows = [engine_row(*row) if engines else [merged(*row)] for row in rows]
+        outcomes = [*chain(*rows), *(_sweep(each, place, suite.jobs) for each in swept)]
         if report:
             write_report(outcomes, report / REPORT_FILE, values)
             write_junit(outcomes, report / JUNIT_FILE)
@@ -218,8 +226,7 @@ def _line(outcome: Outcome) -> str:
     share = f"{multiple(worst.share):>8} x tolerance" if worst else ""
     if outcome.comparison is not None:
         share += f", {outcome.comparison.count}"
-        given = "criteria" if CRITERIA in outcome.cause else "parameters"
-        share += f", {given} differ" if outcome.ok and outcome.cause else ""
+        share += ", criteria or parameters differ" if outcome.ok and outcome.cause else ""
     return f"{outcome.name:<22} {outcome.verdict:<12} {outcome.seconds:5.1f} s {share}"
 
 
@@ -255,7 +262,7 @@ def _conditions(outcomes: list[Outcome]) -> Iterator[str]:
 
 def _of_engines(engines: Sequence[str], rows: list[list[Outcome]]) -> Iterator[Item]:
     """Yield what each MuJoCo changes."""
-    if rows:
+    if engines:
         cells = ([row[0].name, *map(_of_engine, row)] for row in rows)
         yield table(("Scenario", "own", *engines), cells)
 

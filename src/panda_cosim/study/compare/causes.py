@@ -37,7 +37,7 @@ TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(enco
 ENGINE: Final = "versions.mujoco"  # comes before models, which it compiles
 ROUNDING: Final = 1e-9  # relative; less is rounding where another engine compiles a model
 SHOWN: Final = 4  # causes in a line
-CRITERIA: Final = "success."  # begins the names of bounds
+GIVEN: Final = ("success.", "parameters.")  # begin the names of bounds and parameters
 UNASKED: Final = "max_engine_warnings"  # is judged with the bound 0 also where none is stated
 # The order in which they are named; FMUs last, as their hashes change with any of their files.
 _PARTS: Final = ("parameters", "models", "", "versions", "fmus")
@@ -92,13 +92,10 @@ def _compiled(look: Look, contents: Mapping[str, bytes], own: PlantParameters | 
 
 def changed_bounds(before: Summary, now: Summary) -> list[Row]:
     """Return the criteria whose bounds differ, or which only one of two runs is judged by."""
-    units: dict[str, str] = {}
-    bounds = []
-    for summary in (before, now):
-        stated = [it for it in summary.criteria if it.bound or it.name != UNASKED]
-        units |= {f"{CRITERIA}{it.name}": "" if it.unit == "1" else it.unit for it in stated}
-        bounds.append({f"{CRITERIA}{it.name}": it.bound for it in stated})
-    return [replace(row, unit=units[row.name]) for row in differing(bounds)]
+    stated = [[it for it in s.criteria if it.bound or it.name != UNASKED] for s in (before, now)]
+    units = {it.name: it.unit for each in stated for it in each if it.unit != "1"}
+    rows = differing([{it.name: it.bound for it in each} for each in stated])
+    return [Row(f"success.{row.name}", row.values, units.get(row.name, "")) for row in rows]
 
 
 def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
@@ -126,8 +123,7 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
     def rank(row: Row) -> float:
         return 0.5 if row.name == ENGINE else _PARTS.index(split[row.name][0])
 
-    causes = sorted((row for row in rows if is_cause(row.name)), key=rank)
-    return [replace(row, unit=_unit(*split[row.name])) for row in causes]
+    return sorted((row for row in rows if is_cause(row.name)), key=rank)
 
 
 def _is_rounding(row: Row) -> bool:
@@ -145,13 +141,6 @@ def _split(name: str) -> tuple[str, str, str]:
     return part, instance, rest
 
 
-def _unit(part: str, instance: str, rest: str) -> str:
-    """Return the unit of a model's field, or of a parameter of ours."""
-    if part == "models":
-        return str(TABLES["units"].get(signal_of(rest).rpartition(" ")[2], ""))
-    return unit_of(f"{instance}.{rest}")
-
-
 def named(rows: Sequence[Row], most: int = SHOWN) -> str:
     """Name changes in one line: `plant.block_mass 0.18 -> 0.21 kg, ...`."""
     first = {signal_of(row.name): row for row in reversed(rows)}  # of each field's numbers
@@ -164,8 +153,10 @@ def _words(rows: Sequence[Row]) -> Iterator[str]:
     for row in rows:
         part, instance, rest = _split(row.name)
         name = f"{instance}.{rest}".rstrip(".")
+        unit = row.unit or unit_of(name)
         if part == "models":
-            name = f"{instance}: {rest}"
+            field = signal_of(rest).rpartition(" ")[2]
+            name, unit = f"{instance}: {rest}", TABLES["units"].get(field, "")
         if part == "models" and rest == "hash":
             yield f"{instance}: other fields of its compiled model"
         elif part == "fmus":
@@ -173,4 +164,4 @@ def _words(rows: Sequence[Row]) -> Iterator[str]:
         elif None in row.values:
             yield f"{name} {' -> '.join(row.cells[1:])}"
         else:
-            yield f"{replace(row, name=name)} {row.unit}".rstrip()
+            yield f"{replace(row, name=name)} {unit}".rstrip()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 
 from ...result.recording import Recording
 from ...task.scenario import Scenario
-from ...task.tolerances import Tolerances
+from ...task.tolerances import Tolerances, flattened
 from .causes import models_of
 from .outcome import Outcome, Unusable
 from .tubes import widths
@@ -34,29 +34,20 @@ FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise ha
 
 
 def variants(
-    scenarios: Iterable[Scenario | Unusable], engines: Sequence[str]
-) -> Iterator[Scenario | Unusable]:
-    """Yield each scenario as it is and, if there are engines, with noise and with each of them."""
-    for scenario in scenarios:
-        yield scenario
-        if engines and isinstance(scenario, Scenario):
-            name = scenario.name
-            yield replace(scenario, name=f"{name}-noise", input_scale=NOISE)
-            yield from (replace(scenario, name=f"{name}-{e}", mujoco=e) for e in engines)
+    scenario: Scenario | Unusable, engines: Sequence[str], repeats: int
+) -> list[Scenario | Unusable]:
+    """Return a scenario, its repeats and, if there are engines, it with noise and with each."""
+    name = scenario.name
+    found = [scenario, *(replace(scenario, name=f"{name} run {n}") for n in range(2, repeats + 1))]
+    if engines and isinstance(scenario, Scenario):
+        found.append(replace(scenario, name=f"{name}-noise", input_scale=NOISE))
+        found += [replace(scenario, name=f"{name}-{each}", mujoco=each) for each in engines]
+    return found
 
 
-def engine_rows(
-    scenarios: Sequence[Scenario | Unusable], engines: int, outcomes: Iterable[Outcome]
-) -> list[list[Outcome]]:
-    """Return the outcomes of each scenario: its own engine's, then the others' with differences."""
-    rows, remaining = [], iter(outcomes)  # in the order of `variants`
-    for scenario in scenarios:
-        rows.append([next(remaining)])
-        if isinstance(scenario, Scenario):
-            own, noisy = rows[-1][0], next(remaining)
-            others = (next(remaining) for _ in range(engines))
-            rows[-1] += [replace(o, difference=_difference(own, noisy, o)) for o in others]
-    return rows
+def engine_row(own: Outcome, noisy: Outcome | None = None, *others: Outcome) -> list[Outcome]:
+    """Return the outcomes of a scenario: its own engine's, then the others' with differences."""
+    return [own, *(replace(o, difference=_difference(own, noisy, o)) for o in others if noisy)]
 
 
 def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
@@ -74,9 +65,8 @@ def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
 
 
 def _contacts(outcome: Outcome) -> Ticks:
-    recording = Recording.open(outcome.run)
-    seen = models_of(outcome.read, recording, partial(touching, outcome.run))
-    return {pair: ticks for pairs in seen.values() for pair, ticks in pairs.items()}
+    look = partial(touching, outcome.run)
+    return dict(flattened(models_of(outcome.read, Recording.open(outcome.run), look)))
 
 
 def touching(run: Path, model: Any, instance: str) -> Ticks:
@@ -132,8 +122,9 @@ def difference_of(own: Recording, noisy: Recording, run: Recording, tolerances: 
             wrong = differs & (first == noise)
         else:
             first, noise, other = (x.astype(float) for x in (first, noise, other))
-            effect = np.maximum.accumulate(np.abs(noise - first))
-            wrong = ~(np.abs(other - first) <= np.maximum(GROWTH * effect, FLOOR * width))
+            differs &= ~(np.isnan(first) & np.isnan(other))
+            effect = np.fmax.accumulate(np.abs(noise - first))
+            wrong = differs & ~(np.abs(other - first) <= np.fmax(GROWTH * effect, FLOOR * width))
         for found, where in ((apart, differs), (beyond, wrong)):
             if where.any():
                 found[name] = int(where.argmax())

@@ -6,18 +6,23 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal
 
 from ...fmus.errors import InputError
 from ...result.judging.criterion import Criterion
 from ...result.judging.summary import Summary
 from ...task.scenario import Scenario
 from .against_reference import Comparison, Deviation
-from .causes import CRITERIA, named
+from .causes import GIVEN, named
 from .reference import REFERENCE_FILE
 
+if TYPE_CHECKING:
+    from ..sweep.suite import SuiteSweep
+
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-Verdict = Literal["same", "differs", "failed", "holds", "missed", "no reference", "skipped"]
+Verdict = Literal[
+    "same", "differs", "failed", "holds", "missed", "no reference", "skipped", "flaky"
+]
 
 
 @dataclass(frozen=True)
@@ -43,20 +48,6 @@ class Unusable:
     duration: float = 0.0
 
 
-class Swept(Protocol):
-    """A sweep of a suite, as far as its outcome tells of it; `SuiteSweep` is one."""
-
-    @property
-    def name(self) -> str:
-        """Name in reports."""
-        ...
-
-    @property
-    def purpose(self) -> str:
-        """What it is for, in a few words."""
-        ...
-
-
 @dataclass(frozen=True)
 class Outcome:
     """The outcome of one scenario, or of a sweep, which has no reference.
@@ -66,16 +57,18 @@ class Outcome:
 
     The verdict is `same` as the reference, `differs` from it, or `failed` to run. Without a
     reference it is `holds` or `missed` by the criteria; `no reference` if there are none of these,
-    or the reference is damaged. It is `skipped` if the client needs a package that is not there.
+    or the reference is damaged. It is `skipped` if the client needs a package that is not there,
+    and `flaky` if it ran several times with different verdicts or recordings.
     """
 
-    scenario: Scenario | Unusable | Swept
+    scenario: Scenario | Unusable | SuiteSweep
     verdict: Verdict
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]
     comparison: Comparison | None = None  # with the reference; None: there is none, or it failed
     error: str = ""  # why it failed, missed or was skipped, or the reference cannot be used
     criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
+    recording: str = ""  # digest of all values that it recorded
     difference: str = ""  # from the run with the scenario's own MuJoCo, if it is another's
 
     @property
@@ -108,7 +101,7 @@ class Outcome:
     def problems(self) -> Sequence[str]:
         """What is wrong, one line each: the cause, if it is known, then the most important."""
         found = self.comparison.problems if self.comparison else ()
-        lines = [self.cause, *found] if found else [self.error]
+        lines = [self.error, *([self.cause, *found] if found else ())]
         return tuple(filter(None, lines))
 
     @property
@@ -126,8 +119,7 @@ class Outcome:
             return ""
         match = self.comparison.ok
         whole = not match or self.difference  # another engine's fields, also where results match
-        given = (CRITERIA, "parameters.")
-        told = [c for c in self.comparison.causes if whole or c.name.startswith(given)]
+        told = [c for c in self.comparison.causes if whole or c.name.startswith(GIVEN)]
         return f"changed: {named(told)}{'; results match' * match}" if told else ""
 
     @property

@@ -20,7 +20,6 @@ import numpy as np
 from ...fmus.atomic import write_whole
 from ...fmus.errors import InputError
 from ...result.judging.verdicts import MISSED
-from ...result.recording import Recording
 from ...run.start import start_values
 from ...task.scenario import Scenario
 from ...task.tolerances import signal_of
@@ -29,7 +28,6 @@ from .differences import Row
 from .junit import Case, write_cases
 from .outcome import Outcome
 from .page import Page, Part, Section, Table, render
-from .reference import column_digest
 from .regress import Suite, run_suite
 
 STEPS: Final[Mapping[str, float]] = TABLES["steps"]
@@ -112,11 +110,11 @@ def qualify(
     Raises:
         InputError: A scenario cannot be read, or does not pass as it is.
     """
-    digests: dict[str, Mapping[str, str]] = {}
+    recorded: dict[str, str] = {}
     for outcome in run_suite(suite, folder):
         if not outcome.ok:
             raise InputError(f"{outcome.name}: {outcome.verdict}: must pass before it is qualified")
-        digests[outcome.name] = _digests(outcome.run)
+        recorded[outcome.name] = outcome.recording
     trials = {
         f"{scenario.name}-{change.key}": (scenario, change)
         for scenario in suite.scenarios if isinstance(scenario, Scenario)
@@ -127,7 +125,7 @@ def qualify(
     def look(outcome: Outcome) -> None:
         tell(outcome, len(trials))
         seen[outcome.name] = noticed_by(outcome)  # a failed run may have no recording
-        if outcome.ok and _digests(outcome.run) == digests[trials[outcome.name][0].name]:
+        if outcome.ok and outcome.recording == recorded[trials[outcome.name][0].name]:
             seen[outcome.name] = NO_EFFECT
         shutil.rmtree(outcome.run, ignore_errors=True)
 
@@ -156,11 +154,6 @@ def noticed_by(outcome: Outcome) -> str:
     found = [f"{first.name} at {first.first:.3f} s"] if first else []
     found += [f"{MISSED.word} {', '.join(missed)}"] if missed else []
     return ", ".join(found) or outcome.reason
-
-
-def _digests(run: Path) -> dict[str, str]:
-    recording = Recording.open(run)
-    return {name: column_digest(recording[name]) for name in recording.types}
 
 
 def score(findings: Sequence[Finding]) -> float:

@@ -69,6 +69,7 @@ def _outcome(scenario: Scenario | Unusable, *, run: Path, options: Options, exac
         time.perf_counter() - began,
         error="" if done.summary.as_expected else done.summary.detail,
         criteria=done.summary.criteria,
+        recording=done.recording.sha256(),
     )
     return judged if judged.verdict == "failed" else _compared(judged, done.summary, exact)
 
