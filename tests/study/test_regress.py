@@ -321,3 +321,22 @@ def test_repeats_of_other_verdicts_are_shown_as_the_worst_of_them(tmp_path):
     assert (flaky.verdict, exit_code([flaky])) == ("flaky", 1)
     assert flaky.reason.endswith("one is 'differs', the first 'same'")
     assert merged(runs[0], runs[2]) is runs[0]
+
+
+def test_a_history_marks_what_changes_over_nights_of_the_same_code_and_scenario(erratic, tmp_path):
+    nights = tmp_path / "nights" / "history.jsonl"
+    for _ in range(2):
+        told = cli(*erratic, "--history", nights, code=0)
+    assert "random: flaky: 2 results in 2 nights of the same code and scenario" in told.stdout
+    assert "short: flaky" not in told.stdout
+    page, xml = ((tmp_path / name).read_text() for name in ("report.html", "junit.xml"))
+    assert page.count('"badge warn">flaky') == 2
+    assert "flaky" not in xml
+    (tmp_path / "mine" / "random" / "law.py").write_text(RANDOM.replace("0.1)", "0.11)"))
+    assert "flaky" not in cli(*erratic, "--history", nights, code=0).stdout
+    lines = [json.loads(line) for line in nights.read_text().splitlines()]
+    assert [each["verdict"] for each in lines] == ["holds", "same"] * 3
+    with nights.open("a") as file:
+        file.write("{}\n")
+    refused = cli(*erratic, "--history", nights, code=2).stderr
+    assert "history.jsonl: line 7: value '{}'; must be one that regress --history wrote" in refused

@@ -19,6 +19,7 @@ from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
 from ...run.folder import default_folder
 from ...study.compare.engines import engine_row, variants
+from ...study.compare.history import read_history, with_history
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
 from ...study.compare.outcome import Outcome, Unusable, exit_code, headline
@@ -74,6 +75,7 @@ def command(  # noqa: PLR0913 - one for each option
     qualify: float | None = option("--qualify SHARE", min=1e-6, max=10.0),
     min_score: float = option("--min-score", 0.0, min=0.0, max=1.0),
     repeat: int = option("--repeat N", 1, min=1, max=1000),
+    history: Path | None = option("--history FILE"),
     json: bool = JSON,
 ) -> None:
     """Run scenarios and compare each with its reference.
@@ -98,6 +100,9 @@ def command(  # noqa: PLR0913 - one for each option
     With `--repeat 3`, each scenario runs three times, and without sweeps. One whose runs differ in
     verdict or recording is flaky, which fails.
 
+    With `--history FILE`, a line of JSON for each case is appended to a file. One whose verdict or
+    recording has changed, while neither code nor scenario has, is marked as flaky.
+
     With `--qualify 0.05`, each parameter of each scenario is changed by 5 %, and a table says what
     notices it first: a signal or a criterion. Parameters that are 0 get a step of their own.
     Changes after which the same bits are recorded do not count. Exit code 3: fewer are noticed than
@@ -110,7 +115,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress --kind pythonfmu
     panda-cosim regress pick_and_place --qualify 0.05 --min-score 0.8
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
-    panda-cosim regress --repeat 3 --report report
+    panda-cosim regress --repeat 3 --history nights.jsonl --report report
     ```
 
     Args:
@@ -126,9 +131,11 @@ def command(  # noqa: PLR0913 - one for each option
         qualify: Change each parameter by a share, one at a time, and say which changes are noticed.
         min_score: With --qualify: the least share of changes to notice.
         repeat: Number of runs of each scenario, which must not differ.
+        history: Append what each case came to, and show it over nights in the report.
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
+    past = read_history(history) if history else []
     groups = [variants(each, engines, repeat) for each in given]
     runs = list(with_values(chain(*groups), values, ssv))
     suite = Suite(runs, exact, jobs or cores(), kind)
@@ -148,6 +155,8 @@ def command(  # noqa: PLR0913 - one for each option
         rows = [[next(ran) for _ in group] for group in groups]
         rows = [engine_row(*row) if engines else [merged(*row)] for row in rows]
         outcomes = [*chain(*rows), *(_sweep(each, place, suite.jobs) for each in swept)]
+        if history:
+            outcomes = list(with_history(outcomes, history, past, f"{exact} {kind}"))
         if report:
             write_report(outcomes, report / REPORT_FILE, values)
             write_junit(outcomes, report / JUNIT_FILE)
@@ -232,7 +241,7 @@ def _line(outcome: Outcome) -> str:
 
 def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
-    names = ("name", "verdict", "cause", "reason", "seconds", "criteria", "difference")
+    names = ("name", "verdict", "cause", "reason", "seconds", "criteria", "difference", "flaky")
     of_comparison = ("worst", "first", "compared", "constant_fits")
     return {name: getattr(outcome, name) for name in names} | {
         name: getattr(outcome.comparison, name, None) for name in of_comparison
@@ -245,6 +254,7 @@ def _shown(outcomes: list[Outcome]) -> Iterator[Item]:
              for o in outcomes if not o.ok]  # fmt: skip
     if wrong:
         yield table(("Scenario", "Verdict", "Why*"), wrong)
+    yield from (f"{outcome.name}: {outcome.flaky}" for outcome in outcomes if outcome.flaky)
     yield Text(headline(outcomes), "bold red" if exit_code(outcomes) else "bold green")
 
 

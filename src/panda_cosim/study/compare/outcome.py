@@ -18,6 +18,7 @@ from .reference import REFERENCE_FILE
 
 if TYPE_CHECKING:
     from ..sweep.suite import SuiteSweep
+    from .history import Night
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 Verdict = Literal[
@@ -69,6 +70,7 @@ class Outcome:
     error: str = ""  # why it failed, missed or was skipped, or the reference cannot be used
     criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
     recording: str = ""  # digest of all values that it recorded
+    nights: tuple[Night, ...] = ()  # of its history, the last one is this
     difference: str = ""  # from the run with the scenario's own MuJoCo, if it is another's
 
     @property
@@ -103,6 +105,14 @@ class Outcome:
         found = self.comparison.problems if self.comparison else ()
         lines = [self.error, *([self.cause, *found] if found else ())]
         return tuple(filter(None, lines))
+
+    @property
+    def flaky(self) -> str:
+        """What has changed over nights with the code and scenario of the last; "": nothing."""
+        same = [night for night in self.nights if night.made == self.nights[-1].made != ""]
+        found = len({(night.verdict, night.recording) for night in same})
+        told = f"flaky: {found} results in {len(same)} nights of the same code and scenario"
+        return told if found > 1 else ""
 
     @property
     def worst(self) -> Deviation | None:

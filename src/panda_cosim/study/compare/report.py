@@ -35,6 +35,7 @@ CRITERIA: Final = ("Criterion", "Measured", "Required", "Margin", "Verdict")
 SIGNALS: Final = (
     "Signal", "Multiple of tolerance", "Largest deviation", "At", "First outside", "Ticks outside"
 )  # fmt: skip
+NIGHTS: Final = ("Night", "Commit", "Verdict", "Multiple of tolerance", "Recording", "Made of")
 REQUIREMENTS: Final = ("Requirement", "Criterion", "Scenario", "Verdict")
 
 
@@ -77,7 +78,15 @@ def _about(outcomes: Sequence[Outcome]) -> str:
 def _section(outcome: Outcome, views: Views) -> Section:
     criteria = Part("Success criteria", [Table(CRITERIA, list(map(cells, outcome.criteria)))])
     compared = _compared(outcome, outcome.comparison, views) if outcome.comparison else []
-    return Section(outcome.name, outcome.meaning.level, [criteria, *compared], outcome)
+    history = [_history(outcome)] if outcome.nights else []
+    return Section(outcome.name, outcome.meaning.level, [criteria, *history, *compared], outcome)
+
+
+def _history(outcome: Outcome) -> Part:
+    """Return the nights of a case, the last one first."""
+    nights = [[DASH if it in ("", None) else it for it in n[1:]] for n in reversed(outcome.nights)]
+    tables = Table(NIGHTS, nights[:LISTED]), Table(NIGHTS, nights[LISTED:], "Earlier nights")
+    return Part("History", tables, outcome.flaky)
 
 
 def _compared(outcome: Outcome, comparison: Comparison, views: Views) -> list[Part]:

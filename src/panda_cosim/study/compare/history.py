@@ -1,0 +1,78 @@
+"""The history of a suite over nights: a line of JSON for each case of each `regress`."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from pydantic_core import to_json
+
+from ...fmus.atomic import writing
+from ...fmus.build.identity import code_digest, digest
+from ...fmus.errors import refuse
+from ...fmus.processes import run
+from ...run.folder import SCENARIO_FOLDER
+from ...run.output import versions
+from ...task.files import read_text
+from ...task.scenario import Scenario
+from ..work import processor
+from .outcome import Outcome
+
+LARGEST: Final = 1_000_000_000  # [byte] of a history
+DIGITS: Final = 12  # hexadecimal ones of a digest
+
+
+class Night(NamedTuple):
+    """What one case came to: a line of a history."""
+
+    scenario: str
+    date: str  # local time with its zone, ISO 8601
+    commit: str  # of the working directory; "": it is in no repository
+    verdict: str
+    share: float | None  # of its tube that the worst signal took; None: nothing was compared
+    recording: str  # digest of all values; "": there is none
+    made: str  # digest of code, versions, machine, scenario and reference; "": of a sweep
+
+
+def read_history(path: Path) -> list[Night]:
+    """Read a history; one that does not exist is empty."""
+    nights = []
+    lines = read_text(path, LARGEST).splitlines() if path.exists() else []
+    for number, line in enumerate(lines, 1):
+        try:
+            nights.append(Night(**json.loads(line)))
+        except (ValueError, TypeError):
+            refuse(f"{path}: line {number}", line, "must be one that regress --history wrote")
+    return nights
+
+
+def with_history(
+    outcomes: Sequence[Outcome], path: Path, past: Sequence[Night], options: str
+) -> Iterator[Outcome]:
+    """Append a night to a history; yield the outcomes with all nights of their own."""
+    date, commit = time.strftime("%Y-%m-%dT%H:%M:%S%z"), ""
+    with suppress(OSError):  # there is no git
+        commit = run(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
+    nights = [_night(each, date, commit, options) for each in outcomes]
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab") as file:
+            file.writelines(to_json(n._asdict(), inf_nan_mode="null") + b"\n" for n in nights)
+    for outcome, night in zip(outcomes, nights, strict=True):
+        before = (each for each in past if each.scenario == outcome.name)
+        yield replace(outcome, nights=(*before, night))
+
+
+def _night(outcome: Outcome, date: str, commit: str, options: str) -> Night:
+    share, made = outcome.worst.share if outcome.worst else None, ""
+    if isinstance(outcome.scenario, Scenario):
+        kept = sorted((outcome.run / SCENARIO_FOLDER).rglob("*"))
+        files = (file.read_bytes() for file in (*kept, outcome.reference_path) if file.is_file())
+        made = digest(code_digest(()), repr(versions()), processor(), options, *files)[:DIGITS]
+    recording = outcome.recording[:DIGITS]
+    return Night(outcome.name, date, commit, outcome.verdict, share, recording, made)
