@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from panda_cosim.fmus.interface.tables import INTERFACES
 from panda_cosim.study.compare.against_reference import Comparison, compare_with_reference
 from panda_cosim.study.compare.reference import Reference
-from panda_cosim.study.compare.tubes import tube, widths
+from panda_cosim.study.compare.tubes import tube, widths, widths_of_noise
 from panda_cosim.study.compare.wording import multiple
 from panda_cosim.task.tolerances import OURS, Tolerances, of_ours
 from refusals import refused
@@ -249,3 +249,20 @@ def test_the_signals_of_our_own_fmus_are_those_of_their_interfaces(name, tables)
         if scalar.variable.causality in ("input", "output")
     }
     assert of_ours(units).keys() == {f"{name}.{each}" for table in tables for each in OURS[table]}
+
+
+def test_tubes_of_noise_are_ten_times_its_effect_and_a_hundredth_of_the_default_at_least(tmp_path):
+    noisy = columns()
+    noisy["controller.dq[1]"][300] += 1e-6
+    run, other = record(tmp_path / "run", columns()), record(tmp_path / "noisy", noisy)
+    found = widths_of_noise(run, other, Tolerances())
+    assert found["controller.dq[1]"] == pytest.approx(1e-5, rel=0.1)  # less the tube's time
+    assert found["plant.qpos[1]"] == 0.01 * widths(run, Tolerances())["plant.qpos[1]"]
+    Reference.of(run, SUMMARY, Tolerances(), noise=found).write(tmp_path / "x", run)
+    read = Reference.read(tmp_path / "x")
+    stated = Tolerances(values={"controller.dq": 8e-6})
+    for tolerances, width in ((Tolerances(scale=10.0), 1e-5), (stated, 8e-6)):
+        compared = compare_with_reference(other, SUMMARY, read, tolerances)
+        assert compared.worst is not None
+        assert (compared.ok, compared.worst.tolerance) == (True, pytest.approx(width, rel=0.1))
+    refused(widths_of_noise, run, run, Tolerances())

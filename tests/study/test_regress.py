@@ -126,6 +126,9 @@ def test_a_reference_is_overwritten_if_asked_for_after_a_page_of_differences(app
     folder = shutil.copytree(approved, tmp_path / "renamed")
     words = ("regress", "--scenarios", str(folder), "--update")
     assert "renamed: is unchanged" in cli(*words).stdout
+    assert "renamed: is rounded anew" in cli(*words, "--noise", "--yes", code=0).stdout
+    change = ("--set", "controller.gravity_feedforward=0.99999")  # too small for the defaults
+    assert "controller.dq" in cli(*words[:-1], *change, code=1).stdout
     write_short(folder, 0.006)
     before = (folder / REFERENCE_FILE).read_bytes()
     assert "--yes" in cli(*words, code=2).stderr

@@ -6,7 +6,7 @@ import itertools
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
 
@@ -74,6 +74,7 @@ def command(  # noqa: PLR0913 - one for each option
     yes: bool = flag("--yes -y"),
     qualify: float | None = option("--qualify SHARE", min=1e-6, max=10.0),
     min_score: float = option("--min-score", 0.0, min=0.0, max=1.0),
+    noise: bool = flag("--noise"),
     repeat: int = option("--repeat N", 1, min=1, max=1000),
     history: Path | None = option("--history FILE"),
     json: bool = JSON,
@@ -112,6 +113,7 @@ def command(  # noqa: PLR0913 - one for each option
     panda-cosim regress
     panda-cosim regress push jacobi --set controller.kp=7.6 --report report
     panda-cosim regress --scenarios my-scenarios --update
+    panda-cosim regress push --update --noise
     panda-cosim regress --kind pythonfmu
     panda-cosim regress pick_and_place --qualify 0.05 --min-score 0.8
     panda-cosim regress push --mujoco 3.10.0,3.17.0 --report report
@@ -130,13 +132,14 @@ def command(  # noqa: PLR0913 - one for each option
         yes: With --update: do not ask.
         qualify: Change each parameter by a share, one at a time, and say which changes are noticed.
         min_score: With --qualify: the least share of changes to notice.
+        noise: With --update: a run with rounded inputs gives the widths of the references' tubes.
         repeat: Number of runs of each scenario, which must not differ.
         history: Append what each case came to, and show it over nights in the report.
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
     past = read_history(history) if history else []
-    groups = [variants(each, engines, repeat) for each in given]
+    groups = [variants(each, engines, repeat, noise=noise) for each in given]
     runs = list(with_values(chain(*groups), values, ssv))
     suite = Suite(runs, exact, jobs or cores(), kind)
     files = [report / name for name in (REPORT_FILE, JUNIT_FILE)] if report else []
@@ -153,6 +156,8 @@ def command(  # noqa: PLR0913 - one for each option
         place = stack.enter_context(temporary_folder(report or cache_folder()))  # on one disk
         ran = iter(_run(suite, place))
         rows = [[next(ran) for _ in group] for group in groups]
+        if noise:
+            rows = [[replace(row[0], noisy=row[-1].run)] for row in rows]
         rows = [engine_row(*row) if engines else [merged(*row)] for row in rows]
         outcomes = [*chain(*rows), *(_sweep(each, place, suite.jobs) for each in swept)]
         if history:

@@ -201,7 +201,8 @@ def compare_with_reference(
     exact: bool = False,
 ) -> Comparison:
     """Compare a run with its reference; `exact`: each bit of each signal must match, too."""
-    half, ticks = widths(reference, tolerances), tolerances.ticks(reference.step_size)
+    half = widths(reference, tolerances, reference.noise)
+    ticks = tolerances.ticks(reference.step_size)
     _check_precision(reference, half)
     deviations = sorted(_deviations(recording, reference, half, ticks), key=lambda d: -d.share)
     problems = [

@@ -28,6 +28,7 @@ from ...run.system.assembly import assemble
 from ...task.scenario import Scenario
 from ...task.tolerances import flattened, signal_of
 from .differences import Row, differing
+from .reference import TUBES
 from .wording import unit_of
 
 Elements = dict[str, float]  # by element, field and number; "hash": of all that is compiled
@@ -118,7 +119,7 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Row]:
             return rest == "sha256" and instance not in models
         if part == "models" and rest == "hash":
             return not engine and instance not in fields
-        return name != "scenario"  # its name
+        return name not in ("scenario", TUBES)  # the scenario's name
 
     def rank(row: Row) -> float:
         return 0.5 if row.name == ENGINE else _PARTS.index(split[row.name][0])

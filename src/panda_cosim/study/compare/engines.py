@@ -34,12 +34,12 @@ FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise ha
 
 
 def variants(
-    scenario: Scenario | Unusable, engines: Sequence[str], repeats: int
+    scenario: Scenario | Unusable, engines: Sequence[str], repeats: int, *, noise: bool
 ) -> list[Scenario | Unusable]:
-    """Return a scenario, its repeats and, if there are engines, it with noise and with each."""
+    """Return a scenario, its repeats and, if these are asked for, it with noise and engines."""
     name = scenario.name
     found = [scenario, *(replace(scenario, name=f"{name} run {n}") for n in range(2, repeats + 1))]
-    if engines and isinstance(scenario, Scenario):
+    if (noise or engines) and isinstance(scenario, Scenario):
         found.append(replace(scenario, name=f"{name}-noise", input_scale=NOISE))
         found += [replace(scenario, name=f"{name}-{each}", mujoco=each) for each in engines]
     return found

@@ -70,6 +70,7 @@ class Outcome:
     error: str = ""  # why it failed, missed or was skipped, or the reference cannot be used
     criteria: tuple[Criterion, ...] = ()  # as judged; empty without a summary
     recording: str = ""  # digest of all values that it recorded
+    noisy: Path | None = None  # the same run with rounded inputs, if it was asked for
     nights: tuple[Night, ...] = ()  # of its history, the last one is this
     difference: str = ""  # from the run with the scenario's own MuJoCo, if it is another's
 

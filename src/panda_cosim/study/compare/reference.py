@@ -38,13 +38,14 @@ from ...result.recording.storage import (
 from ...task.files import as_argument
 from ...task.tolerances import Tolerances
 from ..work import processor
-from .tubes import widths
+from .tubes import Widths, widths
 
 Models = Mapping[str, Any]  # mjModel of each FMU that is made of one, by its name
 
 FORMAT: Final = 2  # that is written, and alone is read
 REFERENCE_FILE: Final = "reference.parquet"
 CHECKSUM_KEY: Final = b"panda-cosim.checksum"
+TUBES: Final = "tubes"  # in the metadata: where their widths come from, unless from the defaults
 QUANTA: Final = 10  # quanta per tolerance
 _DIGEST_DIGITS = 16  # hexadecimal digits of a SHA-256; enough to exclude collisions
 _LARGEST = 2**31 - 1
@@ -62,6 +63,7 @@ class Reference(Recording):
         digests: Digest of every column's bits as they were recorded.
         step_size: Time between two rows [s].
         summary: Of the approved run.
+        noise: Half-widths of its tubes if they come from noise, by column.
         models: What each MuJoCo model held, by instance, see `causes.elements`.
     """
 
@@ -77,6 +79,7 @@ class Reference(Recording):
         super().__init__(path, source)
         self.quanta, self.digests, self.summary, self.models = quanta, digests, summary, models
         self.step_size: float = self.metadata["step_size"]
+        self.noise = {n: QUANTA * q for n, q in quanta.items() if TUBES in self.metadata}
 
     @classmethod
     def of(
@@ -85,10 +88,11 @@ class Reference(Recording):
         summary: Summary,
         tolerances: Tolerances,
         models: Models | None = None,
+        noise: Widths | None = None,
     ) -> Self:
         """Make a reference from a run; values are rounded to a tenth of their tolerances."""
         _check_run(recording, summary)
-        half = widths(recording, tolerances)
+        half = widths(recording, tolerances, noise)
         if not half:
             raise InputError("the run records no signal; it cannot become a reference")
         quanta = {n: width / QUANTA for n, width in half.items() if recording.is_real(n)}
@@ -105,7 +109,8 @@ class Reference(Recording):
             if name == "time" or name in half
         ]
         blocks = in_one_block(column)
-        source = Source(tuple(columns), kept_metadata(recording), recording.rows, blocks)
+        metadata = kept_metadata(recording) | ({TUBES: "noise"} if noise else {})
+        source = Source(tuple(columns), metadata, recording.rows, blocks)
         digests = {column.name: column_digest(recording[column.name]) for column in columns}
         return cls(recording.path, source, quanta, digests, summary, models or {})
 

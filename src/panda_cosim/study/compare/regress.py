@@ -27,6 +27,7 @@ from .against_reference import Comparison, compare_with_reference
 from .causes import changed, changed_bounds, models_of
 from .outcome import Outcome, Unusable, Verdict
 from .reference import Reference, how_to_make, kept_metadata
+from .tubes import widths_of_noise
 
 if TYPE_CHECKING:
     from ...fmus.sources.targets import Kind
@@ -214,8 +215,10 @@ def candidate(outcome: Outcome) -> Reference:
     if outcome.verdict in ("failed", "skipped"):
         raise InputError(f"{outcome.verdict}, so it cannot become a reference: {outcome.error}")
     recording = Recording.open(outcome.run)
-    models = models_of(outcome.read, recording)
-    return Reference.of(recording, outcome.summary, outcome.read.regression, models)
+    models, tolerances = models_of(outcome.read, recording), outcome.read.regression
+    noisy = outcome.noisy and Recording.open(outcome.noisy)
+    noise = widths_of_noise(recording, noisy, tolerances) if noisy else None
+    return Reference.of(recording, outcome.summary, tolerances, models, noise)
 
 
 def changes(outcome: Outcome, new: Reference) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from typing import Any, Final
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...assets.fields import Array
-from ...fmus.errors import excerpt
+from ...fmus.errors import InputError, excerpt
 from ...result.recording import Recording
 from ...task.tolerances import (
     EQUAL,
@@ -22,12 +23,18 @@ from ...task.tolerances import (
 )
 
 Rows = NDArray[np.int64]
+Widths = dict[str, float]  # by column, in its unit
 
+MARGIN: Final = 10.0  # of a tube by noise: other machines round in another way
+NARROWEST: Final = 0.01  # of a default width
 TIME_SLACK: Final = 1e-6  # of a step: rounding of k * dt
 
 
-def widths(run: Recording, tolerances: Tolerances) -> dict[str, float]:
-    """Return the half-width of the tube around each column of a reference, in its unit."""
+def widths(run: Recording, tolerances: Tolerances, noise: Widths | None = None) -> Widths:
+    """Return the half-width of the tube around each column of a reference, in its unit.
+
+    `noise` has some that stand in place of the defaults, see `widths_of_noise`.
+    """
     extents = _extents(run)
     ours, values = of_ours(run.units), tolerances.values
     addresses = {column: address for address, column in run.addresses.items()}
@@ -38,6 +45,8 @@ def widths(run: Recording, tolerances: Tolerances) -> dict[str, float]:
         given = next((values[each] for each in names if each in values), None)
         if given is not None:
             found[name] = given
+        elif noise and name in noise:
+            found[name] = noise[name]
         elif signal in ours:
             found[name] = tolerances.scale * ours[signal][unit]
         elif run.is_real(name):
@@ -47,6 +56,22 @@ def widths(run: Recording, tolerances: Tolerances) -> dict[str, float]:
             found[name] = EQUAL
     found.pop("time", None)
     return found
+
+
+def widths_of_noise(run: Recording, noisy: Recording, tolerances: Tolerances) -> Widths:
+    """Return half-widths of Reals by how far noise takes them out of a tube of no height.
+
+    Raises:
+        InputError: It changes nothing, or ends the run at another tick.
+    """
+    plain, ticks = widths(run, Tolerances()), tolerances.ticks(run.metadata["step_size"])
+    names = filter(run.is_real, plain if run.rows == noisy.rows else ())
+    apart = {n: float(distances(noisy[n], slice(None), run[n], 0.0, ticks).max()) for n in names}
+    if not 0.0 < sum(apart.values()) < math.inf:
+        raise InputError(
+            "--noise: rounded inputs change nothing, or the run's end; must be left out"
+        )
+    return {name: max(MARGIN * far, NARROWEST * plain[name]) for name, far in apart.items()}
 
 
 def _extents(run: Recording) -> dict[tuple[str, str], Any]:
