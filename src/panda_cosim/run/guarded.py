@@ -165,10 +165,8 @@ class GuardedCommands:
 
     def places(self, ticks: NDArray[np.intp]) -> NDArray[np.intp]:
         """Ticks of the table that are played at ticks."""
-        places = ticks
-        for end in self.ends:
-            places = np.where(ticks >= end.tick, ticks + end.ahead, places)
-        return places
+        begun = np.searchsorted([end.tick for end in self.ends], ticks, side="right")
+        return np.asarray(ticks + np.array([0, *(end.ahead for end in self.ends)])[begun])
 
     def unwatched(self, tick: int, last: int) -> int:
         """Number of ticks until the next one at which a row may end, or until a last one."""
@@ -179,8 +177,7 @@ class GuardedCommands:
     def look(self, tick: int, value: Callable[[str], Array]) -> None:
         """Let a row end by the values measured at a tick, before that is stepped."""
         place = tick + self.ahead(tick)
-        active = (guard for guard in self.guards if guard.first < place < guard.last)
-        guard = next(active, None)
+        guard = next((each for each in self.guards if each.first < place < each.last), None)
         if guard is None or self._measured(guard, place, value) <= guard.bound:
             return
         row, now = sampled(self.path, guard.last, 1)[0], self.commands(tick, 1)[0]

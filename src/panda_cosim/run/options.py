@@ -13,6 +13,7 @@ from ..fmus.errors import InputError, refuse
 from ..fmus.master.step import Coupling, Stepper
 from ..fmus.sources.targets import Kind
 from ..task.fields import Quantity, check_choice
+from ..task.tolerances import flattened
 from ..task.typed import check_types
 from ..task.values import Values
 
@@ -78,7 +79,4 @@ class Options:
         """Values of the scenario that were given here, by key; until the next release."""
         values = {f"fmus.{name}": file for name, file in self.parts.items()}
         values |= {} if self.coupling is None else {"coupling": self.coupling}
-        for key, value in self.overrides.items():
-            named = value.items() if isinstance(value, Mapping) else ()
-            values |= {f"{key}.{name}": each for name, each in named} if named else {key: value}
-        return values
+        return values | dict(flattened(self.overrides))

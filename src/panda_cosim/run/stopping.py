@@ -88,8 +88,7 @@ def stopping_on_signals(event: threading.Event | None = None) -> Iterator[StopRe
     try:
         if threading.current_thread() is threading.main_thread():
             for number in (int(signal.SIGINT), int(signal.SIGTERM)):
-                previous[number] = signal.getsignal(number)
-                signal.signal(number, stop.handle)
+                previous[number] = signal.signal(number, stop.handle)
         yield stop
     finally:
         for number, handler in previous.items():

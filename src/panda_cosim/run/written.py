@@ -12,7 +12,7 @@ from typing import Final
 from ..fmus.build.native import NativeFmu
 from ..fmus.build.ssp import Component, WrittenSystem
 from ..fmus.errors import InputError
-from ..fmus.interface.tables import TABLE_FILE, TRAJECTORY, Connection
+from ..fmus.interface.tables import TRAJECTORY, Connection
 from ..fmus.interface.types import type_of
 from ..fmus.interface.variables import Interface, Variable
 from ..fmus.master.fmu_file import read_fmu
@@ -109,13 +109,10 @@ class Player:
             return build_trajectory(rows, target=target)
         variables = (*self._felt.values(), *self._variables())
         interface = Interface(TRAJECTORY.model, "Plays a scenario's inputs", variables)
-        content, options = {"table": rows}, [("table", TABLE_FILE)]
-        if self._felt:
-            guards = self._guarded.packed(len(rows))
-            content |= guards
-            options += [*((name, f"{name}.bin") for name in guards), ("moving", self._moving)]
-        files = dict(options)
-        resources = {files[key]: each.astype("<f8").tobytes() for key, each in content.items()}
+        content = {"table": rows} | (self._guarded.packed(len(rows)) if self._felt else {})
+        options = [(name, f"{name}.bin") for name in content]
+        options += [("moving", self._moving)] if self._felt else []
+        resources = {f"{name}.bin": each.astype("<f8").tobytes() for name, each in content.items()}
         step = self._prepared.scenario.step
         player = NativeFmu(interface, "player", LAW, resources, tuple(options), step_size=step)
         return build_fmu(player, target=target)
