@@ -187,8 +187,7 @@ class Execution:
         self._begun.count_warnings()
         finished = self.tick == self.ticks
         if finished and not left:
-            unfinished = self._client.unfinished if self._client else ""
-            self.warnings += filter(None, [ended, unfinished])
+            self.warnings += filter(None, [ended, self._client.unfinished if self._client else ""])
         default = ended or f"the session was ended at t = {self.time:.3f} s"
         self._close_recording(None if finished or left else reason or default)
 
@@ -317,8 +316,7 @@ class Execution:
             stopped = stop.text if stop and self._client else None
             self.failure = "" if stopped else str(error)
             with suppress(CosimError):  # the failure itself says more
-                reason = stopped or f"{type(error).__name__}: {error}"
-                self._close_recording(reason)
+                self._close_recording(stopped or f"{type(error).__name__}: {error}")
                 self._summary = self._begun.judge(_end_by(stop) if stop and stopped else FAILED)
             if not stopped:
                 raise

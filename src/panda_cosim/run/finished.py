@@ -127,8 +127,7 @@ class Run:
         """
         from ..result.pictures.video import render_video  # noqa: PLC0415 - slow to import
 
-        path = path or self.folder / VIDEO_FILE
-        return Video(render_video(self.recording, path, camera=camera))
+        return Video(render_video(self.recording, path or self.folder / VIDEO_FILE, camera=camera))
 
     def sheet(self, path: Path | str | None = None) -> Picture:
         """Draw the contact sheet; a notebook shows it, also with the run's table.
@@ -171,9 +170,7 @@ class Run:
         """
         from ..result.view.page import Inline, view_page  # noqa: PLC0415 - slow to import
 
-        runs = [self.shown("run" if against else None)]
-        if against is not None:
-            runs.append(against.shown("other run"))
+        runs = [self.shown("run"), against.shown("other run")] if against else [self.shown()]
         return Inline(view_page(runs), height)
 
 

@@ -255,5 +255,4 @@ class Adjustments:
             if time <= now:
                 raise InputError(f"time {time:g} s has passed; must be after t = {now:g} s")
             rows[row] = changed
-            table = TrajectoryTable(tuple(rows))
-            self.inputs.use(replace(self._scenario, table=table))
+            self.inputs.use(replace(self._scenario, table=TrajectoryTable(tuple(rows))))

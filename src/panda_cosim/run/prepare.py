@@ -77,8 +77,7 @@ class Prepared:
         parts = self.assembly.parts if self.options.kind == "auto" else ()
         asked = {self.options.master, *(part.own for part in parts)}
         python = notice(twin for twin in IN_RUNS if twin in asked)
-        doubted = doubts(self.scenario, self.values)
-        return [*self.assembly.notes, *doubted, *filter(None, [python])]
+        return [*self.assembly.notes, *doubts(self.scenario, self.values), *filter(None, [python])]
 
     def inputs(self, scenario: Scenario | None = None) -> Inputs:
         """Return the external inputs, of a changed scenario if one is given."""
@@ -90,9 +89,8 @@ class Prepared:
         values = assembly.changed(self.values, self.scenario.sections)
         for (instance, name), driven in assembly.driven.items():
             values[instance][name] = driven.at_start(assembly.start_time)
-        patience = PATIENCE
-        if self.options.waits and not self.scenario.client:
-            patience = self.options.time_limit or 0.0  # 0: for ever
+        waits = self.options.waits and not self.scenario.client
+        patience = (self.options.time_limit or 0.0) if waits else PATIENCE  # 0: for ever
         for instance, (address, _) in self.listening.items():
             values[instance]["address"] = address
             if "connection_timeout" not in self.scenario.sections.get(instance, {}):

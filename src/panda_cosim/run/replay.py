@@ -45,11 +45,10 @@ def replay(
     session = Session(scenario, out, options)
     _check_actions(journal, session.prepared)  # before anything is run
     with session:
-        before = journal.head.fmus
         session.warnings += [
             f"{name}: another FMU than the session's; the values may differ"
             for name, fmu in session.head.fmus.items()
-            if before.get(name) != fmu
+            if journal.head.fmus.get(name) != fmu
         ]
         for action in journal.actions:
             session.step(action.tick - session.tick, progress)

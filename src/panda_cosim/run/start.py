@@ -179,8 +179,7 @@ def _amplified(scenario: Scenario, values: StartValues) -> list[str]:
 def carried_mass(scenario: Scenario, values: StartValues) -> float:
     """Mass of the block [kg] if the fingers ever close, else 0."""
     grips = [row.opening for row in scenario.rows]
-    mass = float(values["plant"].get("block_mass", 0.0))
-    return mass if min(grips) < max(grips) else 0.0
+    return float(values["plant"].get("block_mass", 0.0)) if min(grips) < max(grips) else 0.0
 
 
 def instants(scenario: Scenario) -> NDArray[np.float64]:

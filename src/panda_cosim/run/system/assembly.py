@@ -307,8 +307,7 @@ def _unfed(
 
 def _external(scenario: Scenario, connector: Connector, from_outside: bool) -> list[Name]:
     """The pushes, in a session those on all bodies, and the commands that the controller takes."""
-    bodies = FORCES if from_outside else scenario.pushed
-    inputs = [("plant", FORCES[body]) for body in bodies]
+    inputs = [("plant", FORCES[body]) for body in (FORCES if from_outside else scenario.pushed)]
     inputs += [("controller", command) for command in scenario.commands]
     external: list[Name] = []
     for instance, name in inputs:
@@ -341,8 +340,7 @@ def _of_ssp(scenario: Scenario, *, from_outside: bool) -> Assembly:
     made = Assembly(interfaces, parts, system.connections, [], driven, coupled.warnings,
                     scenario.asked, scenario.steps, ssp=system, start=coupled.start_values,
                     start_time=coupled.start_time)  # fmt: skip
-    order = scenario.order or [*system.fmus]
-    return _ordered(scenario, made, order, from_outside=from_outside)
+    return _ordered(scenario, made, scenario.order or [*system.fmus], from_outside=from_outside)
 
 
 def system_scenario(path: Path, duration: float | None = None) -> Scenario:

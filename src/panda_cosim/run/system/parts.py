@@ -64,8 +64,7 @@ class Part:
     @property
     def is_model(self) -> bool:
         """Whether it is made of a MuJoCo model here."""
-        is_file = self.file is not None and self.file.suffix == ".fmu"
-        return self.interface.is_model and not is_file
+        return self.interface.is_model and not (self.file and self.built)
 
 
 def part_path(scenario: Scenario, given: str) -> tuple[Path, str]:
@@ -151,8 +150,7 @@ def _read(scenario: Scenario, name: str, text: str, run_code: bool) -> Part:
     from ...fmus.sources.model_fmu import model_part  # noqa: PLC0415 - few scenarios need it
 
     model = model_part(path, scenario.robot, section.get("keyframe", ""))
-    engine = Target(mujoco=scenario.mujoco)
-    return Part(name, path, model.interface, source=model, target=engine)
+    return Part(name, path, model.interface, source=model, target=Target(mujoco=scenario.mujoco))
 
 
 def _slave(name: str, path: Path, class_name: str, run_code: bool) -> Part:
