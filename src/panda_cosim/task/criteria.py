@@ -26,10 +26,7 @@ LIFTED: Final = 0.005  # [m] way of the block since it is held from which it cou
 NEVER: Final = "so that it can never hold"
 ALWAYS: Final = "so that it can never fail"
 SLACK: Final = 1e-9  # [s] rounding of k * dt; less of a run that is shorter than a second
-EVENTS: Final = (
-    "start", "grasp", "lift", "release_command", "release", "placed", "command_end", "at_rest",
-    "end", "collision",
-)  # fmt: skip
+EVENTS: Final[Sequence[str]] = _TABLES["events"]
 _OPERANDS: Final = {"norm": (1, 2), "difference": (2,)}  # how many signals each takes
 _INSTANT = re.compile(
     r"(?P<event>\w+)(?: *(?P<sign>[+-]) *(?P<offset>\d{1,4}(?:\.\d{1,9})?))?", re.A
@@ -101,7 +98,7 @@ class Reduction:
     is_time: bool = False
 
 
-REDUCTIONS: Final = {name: Reduction(**row) for name, row in _TABLES.items()}
+REDUCTIONS: Final = {name: Reduction(**row) for name, row in _TABLES["reductions"].items()}
 
 
 @checked

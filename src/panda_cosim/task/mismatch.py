@@ -141,8 +141,7 @@ class Mismatch:
 
     def items(self, name: str) -> Sequence[Any]:
         """Return the items of a key: the FMU's own if neither preset nor scenario gives any."""
-        interface = SENSORS if name in SENSOR_KEYS else PLANT
-        variable = interface.end(name, "parameter")
+        variable = (SENSORS if name in SENSOR_KEYS else PLANT).end(name, "parameter")
         own = [each.start for each in variable.scalars(0)] if variable else []
         return cast("Sequence[Any]", self.values.get(name, own))
 

@@ -291,8 +291,7 @@ class Scenario:
     @property
     def has_own_parts(self) -> bool:
         """Whether it brings FMUs, connections, parameters or a client of its own."""
-        brings = self.connect or self.parameters or self.fmus or self.client
-        return bool(brings) or self.is_system
+        return bool(self.connect or self.parameters or self.fmus or self.client) or self.is_system
 
     @property
     def is_torque_driven(self) -> bool:
@@ -332,8 +331,8 @@ class Scenario:
                     must = f"must be left out, as {TABLE_FILE} has inputs"
                     refuse("[inputs] file", inputs["file"], must)
                 driven = InputTable.read(folder / Line().check("[inputs] file", inputs["file"]))
-            name = folder.resolve().name
-            return cls(**keys, name=name, table=table, input_table=driven, folder=folder)
+            keys["name"] = folder.resolve().name
+            return cls(**keys, table=table, input_table=driven, folder=folder)
 
     @typed
     def changed(self, values: Values) -> Scenario:

@@ -68,8 +68,7 @@ class Tolerances:
         if not isinstance(section, Mapping):
             return section  # it is one, or is refused as no section
         values = {name: value for name, value in flattened(section) if name not in _OWN}
-        own: dict[str, Any] = {name: section[name] for name in _OWN if name in section}
-        return cls(**own, values=values)
+        return cls(**{name: section[name] for name in _OWN if name in section}, values=values)
 
     @property
     def section(self) -> dict[str, float | None]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import TypeAdapter
 
-from ..fmus.atomic import check_replaceable, replacing
+from ..fmus.atomic import check_replaceable, write_whole
 from ..fmus.errors import InputError, refuse
 from .files import csv_text, write_all
 from .scenario import KEYS, SCENARIO_FILE, TABLE_FILE, Scenario, shipped_scenarios
@@ -161,5 +161,4 @@ def write_input_csv(
     check_replaceable(path, overwrite=overwrite)
     names = ("time", *(*COMMANDS, *POSTURE_COMMANDS)[: np.shape(commands)[1]])
     rows = np.column_stack([times, commands]).tolist()
-    with replacing(path) as partial:
-        partial.write_text(csv_text([names, *rows]), encoding="utf-8")
+    write_whole(path, csv_text([names, *rows]))

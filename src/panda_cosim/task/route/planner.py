@@ -46,16 +46,14 @@ class NoRouteError(InputError):
 
 def route(scenario: Scenario, scene: RouteScene, load: float) -> Scenario:
     """Return the scenario with a table that leads to its block, of mass `load` [kg], and on."""
-    place = np.array(scenario.success.block_position)
     try:
-        motions = _motions(scene, place)
+        motions = _motions(scene, np.array(scenario.success.block_position))
     except NoRouteError as error:
         raise InputError(f"{scenario.name}: {error}") from None
     table = timed(scene, motions, load, scenario.timing_share)
     ticks = math.ceil((table.rows[-1].time + SETTLING) / STEP_SIZE)
-    duration = round(ticks * STEP_SIZE, 9)
     return replace(scenario, route="", table=table, timing="table", interpolation="spline",
-                   duration=duration)  # fmt: skip
+                   duration=round(ticks * STEP_SIZE, 9))  # fmt: skip
 
 
 def _motions(scene: RouteScene, place: Array) -> list[Motion]:

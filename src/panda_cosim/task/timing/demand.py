@@ -66,8 +66,7 @@ class ArmDynamics:
         data = self._data
         data.qpos[:7], data.qvel[:7], data.qacc[:7] = q, qd, qdd
         mujoco.mj_inverse(self._model, data)
-        servos = data.qfrc_inverse[:7] + data.qfrc_constraint[:7]
-        return np.asarray(servos + _STEP_DAMPING * qdd)
+        return np.asarray(data.qfrc_inverse[:7] + data.qfrc_constraint[:7] + _STEP_DAMPING * qdd)
 
 
 def joint_demands(

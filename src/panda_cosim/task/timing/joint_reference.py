@@ -75,13 +75,9 @@ def rates(values: Array) -> Array:
 @cache
 def _law() -> tuple[Path, Interface]:
     """Build the controller's FMU, but with limits that can be put out of the way."""
-    free = tuple(
-        replace(variable, maximum=RANGES[variable.name][1])
-        if variable.name == "limit_share"
-        else variable
-        for variable in CONTROLLER.variables
-    )
-    interface = replace(CONTROLLER, variables=free)
+    free = replace(CONTROLLER.variable("limit_share"), maximum=RANGES["limit_share"][1])
+    variables = (free if each.name == free.name else each for each in CONTROLLER.variables)
+    interface = replace(CONTROLLER, variables=tuple(variables))
     law = own_fmu(LAW, Target().kind_of(LAW))
     return build_fmu(replace(law, interface=interface)), interface
 

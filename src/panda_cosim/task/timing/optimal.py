@@ -194,9 +194,8 @@ def _table(trajectory: Trajectory, course: _Course) -> TrajectoryTable:
     for first, last in pairwise(course.stops):
         count = -(-(last - first) // SPACING)
         ticks |= set(np.linspace(first, last, count + 1).round().astype(int).tolist())
-    start = float(trajectory.times[0])
     at = sorted(ticks)
-    times = [round(start + tick * STEP_SIZE, DIGITS) for tick in at]
+    times = [round(float(trajectory.times[0]) + tick * STEP_SIZE, DIGITS) for tick in at]
     return world_table(times, course.poses[at].round(DIGITS), trajectory.grips[course.rows[at]])
 
 

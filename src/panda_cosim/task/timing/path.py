@@ -51,8 +51,7 @@ class Motion:
 
     def _from_row(self, row: NDArray[np.intp], way: Array, segment: NDArray[np.intp]) -> Array:
         """Return the poses at distances (m,) [m] from rows along segments; negative: backwards."""
-        length = np.diff(self.places)[segment]
-        share = (way / length)[:, None]
+        share = (way / np.diff(self.places)[segment])[:, None]
         turn = rotations.exp(share * turns(self.orientations)[segment])
         position = self.positions[row] + share * np.diff(self.positions, axis=0)[segment]
         return np.hstack((position, rotations.multiply(turn, self.orientations[row])))
