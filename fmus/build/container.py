@@ -51,8 +51,7 @@ def _fill(container: Any, system: WrittenSystem, folder: Path) -> None:
         container.get_fmu(f"{name}.fmu")
         for key, value in component.start_values.items():
             scalar = component.variables[key]
-            text = literal(scalar, value)
-            container.add_start_value(f"{name}.fmu", scalar.variable.name, text)
+            container.add_start_value(f"{name}.fmu", scalar.variable.name, literal(scalar, value))
     for connection in system.connections:
         _link(container, system, connection)
     for label, (name, variable) in system.outputs().items():
@@ -75,7 +74,6 @@ def _signed(file: Path) -> bytes:
     with zipfile.ZipFile(file) as packed:
         members = {name: packed.read(name) for name in packed.namelist() if name[-1] != "/"}
     root = ET.fromstring(members[DESCRIPTION])  # noqa: S314 - made just now
-    tool = f"panda-cosim, {root.get('generationTool')}"
-    root.attrib.update({**ABOUT, "generationTool": tool})
+    root.attrib.update({**ABOUT, "generationTool": f"panda-cosim, {root.get('generationTool')}"})
     members[DESCRIPTION] = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return archive(members)

@@ -58,8 +58,7 @@ def targets(instance: str, interface: Interface, name: str, causality: Causality
 
 def _is(variable: Variable, causality: Causality) -> bool:
     """Whether a variable is an input, or a parameter or another with a value to start from."""
-    starts = causality == "parameter" and variable.has_start
-    return variable.causality == causality or starts
+    return variable.causality == causality or (causality == "parameter" and variable.has_start)
 
 
 def _parts(place: str, value: ParameterValue, count: int) -> list[Value]:
@@ -83,9 +82,8 @@ def literal(text: str) -> ParameterValue:
     """Read a value of `--set`: true, false, numbers or text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
-    parts = text.strip("[]").split(",")
     try:
-        numbers = [_number(part) for part in parts]
+        numbers = [_number(part) for part in text.strip("[]").split(",")]
     except ValueError:
         return text.strip("\"'")
     return numbers[0] if len(numbers) == 1 else numbers

@@ -32,8 +32,7 @@ MULTIPLE_TOLERANCE: Final = 1e-6  # relative to the `multiple_of` of a variable
 # Bits of integers, and whether one is the sign's, by FMI type; FMI 2.0's one type is Integer.
 INTEGERS: Final = {
     "Integer": (32, True),
-    **{f"Int{bits}": (bits, True) for bits in (8, 16, 32, 64)},
-    **{f"UInt{bits}": (bits, False) for bits in (8, 16, 32, 64)},
+    **{f"{sign}Int{bits}": (bits, not sign) for sign in ("", "U") for bits in (8, 16, 32, 64)},
 }
 
 

@@ -183,8 +183,7 @@ class InLibrary:
 
     def for_c(self) -> dict[str, int | None]:
         """Return what the kernel calls."""
-        method = getattr(self.slave.instance.dll, self.name)
-        function = ctypes.cast(method, ctypes.c_void_p).value
+        function = ctypes.cast(getattr(self.slave.instance.dll, self.name), ctypes.c_void_p).value
         return {"function": function, "instance": self.slave.component, "fmi": self.slave.fmu.fmi}
 
     def fail(self, status: int, time: float) -> NoReturn:

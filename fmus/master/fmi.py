@@ -58,8 +58,7 @@ class Fmi2Slave(FmuSlave):
         """Raise the error of a status, or of a discarded step the end of the simulation."""
         with suppress(FMICallException):
             if status == DISCARD and self.instance.getBooleanStatus(fmi2Terminated):
-                reached = self.instance.getRealStatus(fmi2LastSuccessfulTime)
-                raise self.step.ending(time, reached)
+                raise self.step.ending(time, self.instance.getRealStatus(fmi2LastSuccessfulTime))
         super().fail(what, status, time, variable)
 
     def _instantiate(self, instance: Any) -> None:

@@ -34,10 +34,7 @@ from ..reading import finite_number, read_xml, unpack
 
 VERSIONS: Final = {"2.0": 2, "3.0": 3}
 # FMI 3.0's types by the names of FMI 2.0, if the master treats them alike.
-_KINDS: Final = {
-    **dict.fromkeys(("Float64", "Float32"), "Real"),
-    **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
-}
+_KINDS: Final = {"Float64": "Real", "Float32": "Real"} | dict.fromkeys(INTEGERS, "Integer")
 TEXTS: Final = ("String", "Binary")  # kinds whose start value is kept as it is written
 _NUMBERS: Final = ("Real", "Integer")  # an interface table's Real
 STRUCTURAL: Final = "structuralParameter"
@@ -101,10 +98,9 @@ class Fmu:
         return pickle.dumps({k: value for k, value in vars(self).items() if k not in before})
 
     def _scalars(self) -> dict[str, Scalar]:
-        place = f"{self.label}: modelDescription.xml"
         taken = [v for v in self.description.modelVariables if v.name not in self.clocked]
         variables = {}
-        for scalar in _scalars(place, taken, self.sizes):
+        for scalar in _scalars(f"{self.label}: modelDescription.xml", taken, self.sizes):
             names = self._noted.get(scalar.variable.name, [])
             name = names[scalar.element] if scalar.element < len(names) else scalar.name
             self._described[scalar.name] = variables[name] = replace(scalar, name=name)
@@ -302,8 +298,7 @@ def _scalars(place: str, described: Sequence[Any], sizes: Mapping[str, int]) -> 
 
 def _stated(described: Any, attribute: str) -> Any:
     """An attribute of a variable, or else of its declared type; None: neither has it."""
-    own = getattr(described, attribute, None)
-    return own or getattr(described.declaredType, attribute, None)
+    return getattr(described, attribute, None) or getattr(described.declaredType, attribute, None)
 
 
 def _shape(described: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
@@ -324,7 +319,6 @@ def _noted_names(root: ET.Element) -> dict[str, list[str]]:
 
 def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
     """Return one of FMPy's `ModelVariable`s as a row of an interface table."""
-    kind = _KINDS.get(described.type, described.type)
     items = getattr(described.declaredType, "items", ())
     shape, is_structural = _shape(described, sizes), described.causality == STRUCTURAL
 
@@ -342,7 +336,7 @@ def _variable(place: str, described: Any, sizes: Mapping[str, int]) -> Variable:
         minimum=bound("min"),
         maximum=bound("max"),
         nominal=bound("nominal"),
-        kind=cast("Kind", kind),
+        kind=cast("Kind", _KINDS.get(described.type, described.type)),
         has_start=_has_start(described),
         choices=tuple(item.name for item in items),
         numbers=tuple(int(item.value) for item in items),
@@ -366,8 +360,7 @@ def _start(place: str, variable: Variable, text: str | None) -> Any:
         return text
     values = tuple(read_value(place, variable, part) for part in text.split())
     if len(values) > 1:
-        missing = variable.size - len(values)
-        return (*values, *[None] * missing)[: variable.size]
+        return (*values, *[None] * (variable.size - len(values)))[: variable.size]
     return values[0] if values else None
 
 

@@ -70,8 +70,7 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
             refuse(f"{fmus[instance].label}: {name}: causality", own, f"must be {causality}")
     for connection in system.connections:
         source, target = (scalar.variable for _, scalar in _ends(fmus, connection))
-        fits = can_convert if connection.converts_types else is_lossless
-        if not fits(source, target):
+        if not (can_convert if connection.converts_types else is_lossless)(source, target):
             raise InputError(
                 f"{connection}: type {type_of(source)} feeds type {type_of(target)}; must be one "
                 "that holds all its values"

@@ -144,7 +144,6 @@ def law_fmu(
     # `first`: bounds `low` and `high` of the first `ctrl`, for as many elements; whether all must
     # be `within`, or at least one beyond; the `reason` for the message.
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
-    slave = {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode()}
     rows = [
         {"name": v.name, "shape": v.shape, "size": v.size, "causality": v.causality,
          "is_switch": v.kind == "Boolean"}
@@ -154,7 +153,7 @@ def law_fmu(
     return python_fmu(
         interface,
         law.text,
-        slave | law_code(law.path),
+        {SLAVE_FILE: SLAVE.read_bytes() + set_law.encode(), **law_code(law.path)},
         (SLAVE_FILE.removesuffix(".py"), "LawSlave"),
         ("numpy",),
         resources={"layout.json": json.dumps(layout).encode()},

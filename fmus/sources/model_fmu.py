@@ -22,7 +22,7 @@ from ..build.description import NOTHING
 from ..build.engines import sparse_fault
 from ..build.identity import digest
 from ..build.native import NativeFmu
-from ..errors import InputError, one_line, refuse
+from ..errors import InputError, located, one_line, refuse
 from ..interface.variables import Interface, Variable
 from ..processes import last_line, run
 from .mjcf_interface import (
@@ -94,12 +94,10 @@ def _fmu(path: Path, model: Any, options: ModelOptions, stem: str) -> NativeFmu:
     if model.nplugin:
         _refuse_plugins(path)
     description = _described(model, options, stem)
-    try:
+    with located(options.interface or path):
         table = interface(description, model)
         fmu = mujoco_fmu(table, {"model": model}, TABLES["law"], description.keyframe)
         _refuse_shared_inputs(fmu.interface)
-    except InputError as error:
-        raise InputError(f"{options.interface or path}: {error}") from error
     return fmu
 
 

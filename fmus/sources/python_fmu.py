@@ -66,8 +66,7 @@ def python_fmu(  # noqa: PLR0913 - what differs between our slaves, laws and use
         options += [("private", top.removesuffix(".py")) for top in dict.fromkeys(tops)]
     options += [("need", f"{name} {NEEDS.get(name, '*')}") for name in needs]
     options.append(("minimum", MIN_PYTHON))
-    recorded = recorded_python(needs)
-    return NativeFmu(interface, "python", law, files, tuple(options), recorded,
+    return NativeFmu(interface, "python", law, files, tuple(options), recorded_python(needs),
                      requirements("own", needs), step_size)  # fmt: skip
 
 
