@@ -46,18 +46,17 @@ class Motion:
 
     times: Array  # (n,) [s]
     joints: Array  # (n, 7) [rad]
-    speeds: Array | None  # (n, 7) [rad/s]; None: not given
+    speeds: Array  # (n, 7) [rad/s]; (n, 0): not given
 
     @classmethod
     def of(cls, columns: Mapping[str, Array]) -> Motion:
         """Make one of the columns of a table."""
-        has_speeds = any(name in columns for name in SPEEDS)
-        if {TIME, *JOINTS, *(SPEEDS if has_speeds else ())} - columns.keys():
+        names = (TIME, *JOINTS, *(SPEEDS if columns.keys() & {*SPEEDS} else ()))
+        if {*names} - columns.keys():
             listed = excerpt(",".join(columns))
             raise InputError(f"columns {listed}; must be time and q1 to q7, and may be qd1 to qd7")
-        times, joints = columns[TIME], np.column_stack([columns[name] for name in JOINTS])
-        speeds = np.column_stack([columns[name] for name in SPEEDS]) if has_speeds else None
-        return cls(times, joints, speeds)
+        rows = np.column_stack([columns[name] for name in names])
+        return cls(rows[:, 0], rows[:, 1:8], rows[:, 8:])
 
     def __post_init__(self) -> None:
         """Refuse what no robot could follow."""
@@ -70,15 +69,13 @@ class Motion:
     def stretched(self, factor: float) -> Motion:
         """Return the same motion, so many times as slow."""
         times = self.times[0] + factor * (self.times - self.times[0])
-        return replace(
-            self, times=times, speeds=None if self.speeds is None else self.speeds / factor
-        )
+        return replace(self, times=times, speeds=self.speeds / factor)
 
     def sent(self) -> tuple[Array, Array]:
         """Return the instants (n,) [s] and joints (n, 7) [rad] that are sent each millisecond."""
         ticks = np.ceil((self.times[-1] - self.times[0]) / STEP_SIZE - 1e-6)
         times = self.times[0] + STEP_SIZE * np.arange(int(ticks) + 1)
-        if self.speeds is None:
+        if not self.speeds.size:
             spline = scipy.interpolate.CubicSpline(self.times, self.joints, bc_type="clamped")
         else:
             spline = scipy.interpolate.CubicHermiteSpline(self.times, self.joints, self.speeds)
@@ -210,6 +207,5 @@ def _needed(used: Mapping[str, float], share: float) -> float:
 
 def motion_text(motion: Motion) -> str:
     """Return a motion as CSV."""
-    parts = [motion.joints] if motion.speeds is None else [motion.joints, motion.speeds]
-    names = [TIME, *JOINTS, *SPEEDS][: 1 + 7 * len(parts)]
-    return csv_text([names, *np.column_stack([motion.times, *parts]).tolist()])
+    rows = np.column_stack([motion.times, motion.joints, motion.speeds])
+    return csv_text([[TIME, *JOINTS, *SPEEDS][: rows.shape[1]], *rows.tolist()])
