@@ -17,9 +17,7 @@ from ..forms import option
 
 
 def command(
-    kind: Kind = KIND,
-    json: Path | None = option("--json FILE"),
-    overwrite: bool = OVERWRITE,
+    kind: Kind = KIND, json: Path | None = option("--json FILE"), overwrite: bool = OVERWRITE
 ) -> None:
     """Measure what a co-simulation step costs.
 

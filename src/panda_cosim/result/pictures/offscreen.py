@@ -40,17 +40,12 @@ class OffscreenRenderer:
     no scene: neither uses it.
     """
 
-    def __init__(
-        self,
-        scene: str,
-        width: int,
-        height: int,
-        camera: str = "overview",
-    ) -> None:
+    def __init__(self, scene: str, width: int, height: int, camera: str = "overview") -> None:
         self._shape = (height, width, 3)
-        failures: dict[str, str] = {}
+        job, failures = json.dumps([scene, width, height, camera]), dict[str, str]()
         for backend in backends():
-            self._child = _start(backend, [scene, width, height, camera])
+            environment = {"MUJOCO_GL": backend}  # what drivers print is not shown
+            self._child = Child("-m", PROCESS, job, output=DEVNULL, environment=environment)
             with ExitStack() as stack:
                 stack.callback(self.close)
                 reply = self._first_reply()
@@ -87,12 +82,6 @@ class OffscreenRenderer:
             return dict(self._child.connection.recv())
         except (EOFError, OSError):
             return {"failed": f"its process ended with code {self._child.ended()}"}
-
-
-def _start(backend: str, job: list[Any]) -> Child:
-    """Start the process; what drivers print is not shown."""
-    environment = {"MUJOCO_GL": backend}
-    return Child("-m", PROCESS, json.dumps(job), output=DEVNULL, environment=environment)
 
 
 def describe_gl() -> str:

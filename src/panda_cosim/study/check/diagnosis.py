@@ -67,10 +67,7 @@ class Diagnostic:
 
 
 def check_folder(
-    folder: Path,
-    values: Values | None = None,
-    robot: str = "",
-    ssv: Path | None = None,
+    folder: Path, values: Values | None = None, robot: str = "", ssv: Path | None = None
 ) -> list[Diagnostic]:
     """Check a scenario's folder, or an .ssp file, as `run` prepares it, also for a `robot`.
 
