@@ -7,7 +7,6 @@ import platform
 import re
 import sys
 import tempfile
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from importlib.metadata import requires, version
 from typing import Literal, NamedTuple
@@ -65,10 +64,8 @@ def command(json: bool = flag("--json")) -> None:
     # Its option is not that of `options`, whose import needs numpy, which may be missing.
     tell("Examining this machine ...")
     findings = examine()
-    found = defaultdict[State, list[str]](list)
-    for finding in findings:
-        found[finding.state].append(finding.what)
-    missing, optional = found["needed"], found["optional"]
+    missing = [each.what for each in findings if each.state == "needed"]
+    optional = [each.what for each in findings if each.state == "optional"]
     content = {"ready": not missing, "findings": [finding._asdict() for finding in findings]}
     items: list[Item] = [table(("", "what*", "found*"), map(_row, findings))]
     if not missing:

@@ -11,7 +11,7 @@ from ...task.files import as_argument
 from ...task.scenario import TABLE_FILE, Scenario, shipped_scenarios
 from ...task.writer import make_scenario, write_input_csv
 from ..common import JSON, OVERWRITE, SCENARIO, SETTINGS, find_scenario, values_of
-from ..console import show, show_json, table
+from ..console import show, show_result, table
 from ..forms import argument, flag, option
 
 
@@ -70,13 +70,12 @@ def list_scenarios(json: bool = JSON) -> None:
     ```
     """
     scenarios = [Scenario.read(path) for path in shipped_scenarios().values()]
-    if json:
-        keys = {"name": "name", "duration_s": "duration", "scene": "scene", "purpose": "purpose",
-                "folder": "folder"}  # fmt: skip
-        show_json([{key: getattr(s, name) for key, name in keys.items()} for s in scenarios])
-        return
+    keys = {"name": "name", "duration_s": "duration", "scene": "scene", "purpose": "purpose",
+            "folder": "folder"}  # fmt: skip
+    content = [{key: getattr(s, name) for key, name in keys.items()} for s in scenarios]
     rows = [(s.name, f"{s.duration:g} s", s.scene, s.purpose) for s in scenarios]
-    show(table(("scenario", "duration", "scene", "purpose*"), rows, right=("duration",)))
+    listed = table(("scenario", "duration", "scene", "purpose*"), rows, right=("duration",))
+    show_result(content, [listed], json=json)
 
 
 def inputs(
