@@ -213,7 +213,7 @@ class Recording:
             names = (*self.columns, *self.texts)
             writer.writerow(names)
             for block in self._source.blocks(names):
-                columns = (map(_cell, values.tolist()) for values in block)
+                columns = (map(cell, values.tolist()) for values in block)
                 writer.writerows(zip(*columns, strict=True))
 
     def to_mat(self, path: str | Path, *, overwrite: bool = False) -> None:
@@ -233,7 +233,7 @@ class Recording:
         for signal in self:
             name, values = _matlab_name(signal, variables), self[signal]
             is_text = values.dtype == object
-            variables[name] = np.vectorize(_cell, [object])(values) if is_text else values
+            variables[name] = np.vectorize(cell, [object])(values) if is_text else values
             columns = self.elements(signal)
             units = dict.fromkeys(filter(None, (self.units.get(each) for each in columns)))
             rows.append((name, signal, ", ".join(units), self.descriptions[columns[0]]))
@@ -311,7 +311,8 @@ def bits(values: Array) -> Any:
     return b"".join(len(text).to_bytes(8, "little") + text for text in texts)
 
 
-def _cell(value: object) -> object:
+def cell(value: object) -> object:
+    """Return a value as tables have it; bytes are hexadecimal digits."""
     return value.hex() if isinstance(value, bytes) else value
 
 

@@ -26,6 +26,7 @@ from ...fmus.master.fmu_file import TEXTS, Fmu, read_fmu, read_value
 from ...fmus.reading import file_inside, finite_number, read_xml
 from ...result.judging.advice import Level
 from ...result.recording import Recording
+from ...result.recording.reader import cell
 from ...run.execution import Execution
 from ...run.prepare import prepare
 from ...task.criteria import SignalCriterion, Success
@@ -139,10 +140,8 @@ def _outcome(fmu: Fmu, experiment: Experiment) -> Outcome:
 def _apart(answers: Array, reference: Array) -> Array:
     """How far answers (n,) are from references; texts that differ are infinitely far."""
     if reference.dtype == object:
-        texts = [
-            each if isinstance(each, str) else each.hex() for each in answers
-        ]  # as in the file
-        return np.where(np.array(texts, object) == reference, 0.0, np.inf)
+        texts = np.array([*map(cell, answers)], object)  # as in the file
+        return np.where(texts == reference, 0.0, np.inf)
     apart = np.abs(answers.astype(float) - reference) / np.maximum(np.abs(reference), 1.0)
     return np.where(np.isfinite(apart), apart, np.inf)
 
