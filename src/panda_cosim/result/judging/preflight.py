@@ -230,7 +230,8 @@ def _windows(recording: Recording, reference: str) -> Iterator[tuple[Array, dict
 def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metrics:
     """Return the section of summary.json."""
     late = [min(each.first.values(), key=itemgetter("time_s")) for each in lost if each.first]
-    findings = _findings(judge)
+    found = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
+    findings = sorted(found, key=itemgetter("time_s"))
     refused = [each for each in findings if each["necessary"]]
     counts = {name: _count(name, refused, judge.shares) for name in INTERFACES}
     is_known = None not in (counts[own], counts["arm"])
@@ -246,12 +247,6 @@ def _result(robot: str, own: str, judge: _Judge, lost: Sequence[_Judge]) -> Metr
         "findings": findings,
         "late": {"lost_packets": late[0] | {"remedy": REMEDIES["smoother"]}} if late else {},
     }
-
-
-def _findings(judge: _Judge) -> list[Metrics]:
-    """Return what is refused or recommended against, in the order of time."""
-    found = [{**each, "share": float(judge.shares[k].max())} for k, each in judge.first.items()]
-    return sorted(found, key=itemgetter("time_s"))
 
 
 def _count(interface: str, refused: Iterable[Metrics], measured: Container[str]) -> int | None:
