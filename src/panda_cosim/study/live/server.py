@@ -17,7 +17,6 @@ import threading
 import webbrowser
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from html import escape
 from http import HTTPStatus
 from pathlib import Path
 from typing import Final
@@ -31,6 +30,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ...fmus.errors import InputError
+from ...result.view.page import rendered
 from .simulation import Act, Simulation, parse_command
 
 LOCAL: Final = "127.0.0.1"
@@ -41,11 +41,7 @@ VIEWERS: Final = 8
 OPEN_TIME: Final = 5.0  # [s] for a request to arrive
 CLOSE_TIME: Final = 1.0  # [s] for viewers to say goodbye
 OPEN_FILE: Final = "open.html"
-OPEN_PAGE: Final = """<!DOCTYPE html>
-<meta charset="utf-8">
-<meta http-equiv="refresh" content="0; url={address}">
-<a href="{address}">The live run</a>
-"""
+OPEN_PAGE: Final = Path(__file__).with_name(OPEN_FILE)
 HEADERS: Final = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}  # of the token
 
 # Errors in a client's request belong into a log, if the user keeps one, not on the terminal.
@@ -205,12 +201,11 @@ def opened(address: str, folder: Path) -> Iterator[None]:
     # read, and that leads to the page; it goes at the end.
     path = folder / OPEN_FILE
     path.touch(mode=0o600, exist_ok=False)
-    path.write_text(OPEN_PAGE.format(address=escape(address)), encoding="utf-8")
+    path.write_text(rendered(OPEN_PAGE, address=address), encoding="utf-8")
     uri = path.resolve().as_uri()
     # In a thread: some browsers stay in the foreground until they are closed.
-    opening = threading.Thread(target=webbrowser.open, args=[uri], daemon=True)
     try:
-        opening.start()
+        threading.Thread(target=webbrowser.open, args=[uri], daemon=True).start()
         yield
     finally:
         path.unlink(missing_ok=True)
