@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import miss_text
+from ...run.execution import Progress
 from ...task.scenario import SCENARIO_FILE, Scenario
 from ..compare.outcome import Outcome, Unusable, Verdict
 from .definition import Sweep
@@ -31,9 +32,7 @@ class SuiteSweep:
         """Name in reports, and of the folder of its results."""
         return f"{self.file.resolve().parent.name} (sweep)"
 
-    def judge(
-        self, folder: Path, jobs: int, progress: Callable[[int, int], None] | None = None
-    ) -> Outcome:
+    def judge(self, folder: Path, jobs: int, progress: Progress | None = None) -> Outcome:
         """Run the sweep into a folder, and judge its success rate."""
         began, rate = time.perf_counter(), None
         verdict: Verdict = "failed"

@@ -16,6 +16,7 @@ from ...fmus.errors import InputError
 from ...fmus.sources.targets import Target, build
 from ...fmus.twins import notice
 from ...result.judging.criterion import Criterion
+from ...run.execution import Progress
 from ...run.folder import default_folder
 from ...task.criteria import Success
 from ...task.typed import typed
@@ -31,8 +32,6 @@ from .store import Store, origin, schema
 # so that a long sweep has few parts.
 FLUSH_SHARE: Final = 0.1
 FLUSH_RANGE: Final = (0.2, 30.0)
-
-Progress = Callable[[int, int], None]  # called with how many rows are there, and will be
 
 
 @dataclass(frozen=True)
