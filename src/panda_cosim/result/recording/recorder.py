@@ -4,9 +4,9 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ FLUSH_INTERVAL = 0.3  # [s] wall time; the master's own delay makes it at most 0
 _BUFFER_ROWS = 4096
 
 
-class MemoryRecorder:
+class MemoryRecorder(AbstractContextManager["MemoryRecorder"]):
     """Keeps a recording in memory; the folder is only named.
 
     `Output` makes one for a run without files. As a context manager it ends the recording, as
@@ -93,10 +93,6 @@ class MemoryRecorder:
 
     def _state(self, complete: bool, reason: str | None) -> dict[str, object]:
         return {"complete": complete, "reason": reason, **self.late}
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         """Close it; an error says more than one of closing."""
@@ -203,8 +199,7 @@ class Recorder(MemoryRecorder):
 
     def _mark_end(self, complete: bool, reason: str | None) -> None:
         self._error = None
-        state = self._state(complete, reason)
-        self._write(storage.serialize_end(self._schema.result(), state))
+        self._write(storage.serialize_end(self._schema.result(), self._state(complete, reason)))
 
     def _make_parquet(self) -> None:
         try:
