@@ -66,7 +66,6 @@ def page(store: Store, beside: Path) -> str:
     body = rendered(
         TEMPLATE,
         title=title,
-        content=content,
         results=results,
         lacking=lacking,
         total=total,
