@@ -82,8 +82,7 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> Js
         recorded = _signals(run, thinning, columns["qpos"], second)
         signals = [*_derived(source, thinning, against), *recorded]
     known = {n: unit for s in signals for n, unit in zip(s["columns"], s["units"], strict=True)}
-    is_ours = model_file(source) is None
-    bounds = column_bounds(robot_of(source.metadata)) if is_ours else {}
+    bounds = {} if model_file(source) else column_bounds(robot_of(metadata))
     return {
         "name": run.name,
         "title": title,
@@ -119,8 +118,7 @@ def _check(run: Shown, positions: int) -> None:
 
 def _ran(run: Shown) -> list[str]:
     """Say what ran the last FMUs, and what stepped them."""
-    code = run.source.metadata.get("code", {})
-    ran = {**code, "stepped by": run.summary.stepped_by}
+    ran = {**run.source.metadata.get("code", {}), "stepped by": run.summary.stepped_by}
     return [f"{part}: {by}" for part, by in ran.items() if by][-PARTS:]
 
 
@@ -154,8 +152,7 @@ def _signals(
 
 def _signal(source: Recording, columns: list[str], block: Json) -> Json:
     units = [source.units.get(name, "") for name in columns]
-    words = source.descriptions.get(columns[0], "")
-    return _described(columns, units, words, block)
+    return _described(columns, units, source.descriptions.get(columns[0], ""), block)
 
 
 def _described(columns: list[str], units: list[str], words: str, block: Json) -> Json:
@@ -172,7 +169,7 @@ def _derived(source: Recording, thinning: Thinning, against: Recording | None) -
         curves.append(_described([name], [unit], words, encode([thinning.curve(values)], [None])))
 
     if _has(source, hand, command):
-        error = by_rows(source, _distance, hand, command)
+        error = by_rows(source, lambda a, b: np.linalg.norm(a - b, axis=1), hand, command)
         if error.max(initial=0.0) >= CLEAR * max(_quanta(source, hand)):
             add("tracking error", "mm", "Distance of the hand from its command", 1e3 * error)
     if _has(source, turn, ROLES["commanded_turn"]):
@@ -187,10 +184,6 @@ def _derived(source: Recording, thinning: Thinning, against: Recording | None) -
 
 def _has(source: Recording, *signals: str) -> bool:
     return all(_columns(source, signal) for signal in signals)
-
-
-def _distance(one: Array, other: Array) -> Array:
-    return np.asarray(np.linalg.norm(one - other, axis=1))
 
 
 def _difference(source: Recording, other: Recording, signal: str) -> Array:
@@ -215,6 +208,5 @@ def _quanta(source: Recording, signal: str) -> list[float]:
 def _poses(source: Recording, thinning: Thinning, columns: Mapping[str, Sequence[str]]) -> Json:
     """Return the columns the scene needs, at the instants of poses."""
     names = [name for group in columns.values() for name in group]
-    values = [thinning.poses(source[name]) for name in names]
-    block = encode(values, [POSE_STEP] * len(names))
+    block = encode([thinning.poses(source[name]) for name in names], [POSE_STEP] * len(names))
     return {"time": describe_time(thinning.poses(source.time)), "columns": names, **block}
