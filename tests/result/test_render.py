@@ -20,13 +20,13 @@ from fake_recording import HOME, made_up_run
 from fault_support import write_scenario
 from forked import command
 from panda_cosim import InputError, Recording
+from panda_cosim.assets.fields import Array
 from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.result.judging.holds import events, find_holds
 from panda_cosim.result.pictures import gl
 from panda_cosim.result.pictures.gl import RenderError
 from panda_cosim.result.pictures.motion import (
     BLOCK_QUAT,
-    FloatArray,
     interpolate_qpos,
     key_moments,
     slerp,
@@ -51,7 +51,7 @@ def backend():
         return pytest.skip(f"no OpenGL: {error}")
 
 
-def about_x(angle: float) -> FloatArray:
+def about_x(angle: float) -> Array:
     """Return the quaternion (w, x, y, z) of a turn about x [rad]."""
     return np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0])
 

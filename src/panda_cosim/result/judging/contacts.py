@@ -15,7 +15,6 @@ from ..recording import Recording
 from .summary import Metrics
 
 SIGNAL: Final = "plant.unwanted_contact_force"
-SCENE: Final = "tabletop"  # of a recording that does not name its scene
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,7 @@ def _touches(recording: Recording) -> Iterator[Touch]:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        geoms = data.contact.geom.tolist()
-        for pair, kind in zip(geoms, contacts_of(kinds, data), strict=True):
+        for pair, kind in zip(data.contact.geom.tolist(), contacts_of(kinds, data), strict=True):
             if kind & UNWANTED:
                 first, second = sorted(_name(model, geom) for geom in pair)
                 yield Touch((first, second), float(time), float(time), float(strength))
@@ -83,8 +81,8 @@ def _model(recording: Recording) -> Any:
     file = model_file(recording)
     if file is not None:
         return load(file)
-    scene = str(recording.metadata.get("scene", SCENE))
-    return load_scene(PlantParameters(scene=SCENE if scene == ELASTIC else scene))
+    scene = str(recording.metadata.get("scene", PlantParameters.scene))
+    return load_scene(PlantParameters(scene=PlantParameters.scene if scene == ELASTIC else scene))
 
 
 def _name(model: Any, geom: int) -> str:

@@ -14,19 +14,18 @@ from textwrap import shorten
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import SCENES
+from ...assets.fields import Array
 from ...fmus.errors import InputError
 from ...fmus.interface.tables import INTERFACES
+from ...plant.parameters import PlantParameters
 from ...result.judging.holds import Hold, find_holds, first_collision
 from ...result.recording import Recording
 from ...result.recording.reader import shapes_of
 from ...task import rotations
 from ...task.fields import check_choice
 from ...task.files import model_file
-
-FloatArray = NDArray[np.float64]
 
 _DRAWN: Final = {"plant": ("qpos", "qvel", "hand_xpos", "actuator_force", "contact_force"),
                  "controller": ("pos_cmd", "grip_cmd")}  # fmt: skip
@@ -35,8 +34,6 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {  # of the drawn signals, per ro
 }
 BLOCK_QUAT = slice(12, 16)  # of the block's orientation in qpos (w, x, y, z)
 
-PLANT_MODEL = "PandaPlant"  # model name of the project's own plant
-DEFAULT_SCENE = "tabletop"  # if a recording does not name its scene
 GRIP_TIME = 0.3  # [s] time the gripper needs to close on the block, or to open
 REASON_LENGTH = 80  # characters of an error's message in a title
 APART = 0.05  # [s] least distance: closer moments look alike
@@ -72,7 +69,7 @@ def position_columns(recording: Recording) -> list[str]:
     return names[: SHAPES["plant.qpos"][0]]  # of a scene with further bodies the first
 
 
-def poses(recording: Recording, at: FloatArray) -> FloatArray:
+def poses(recording: Recording, at: Array) -> Array:
     """Return qpos (k, nq) at instants (k,), see `interpolate_qpos`; reads a column at a time."""
     time = recording.time
     after = np.clip(np.searchsorted(time, at, side="right"), 1, max(len(time) - 1, 1))
@@ -84,8 +81,8 @@ def poses(recording: Recording, at: FloatArray) -> FloatArray:
 def has_model(recording: Recording) -> bool:
     """Whether a run's plant is the project's own, or has a model."""
     fmus = recording.metadata.get("fmus", {})
-    plant = fmus.get("plant", {}).get("model", "none") if fmus else PLANT_MODEL
-    return plant == PLANT_MODEL or model_file(recording) is not None
+    is_ours = not fmus or fmus.get("plant", {}).get("model") == INTERFACES["plant"].model
+    return is_ours or model_file(recording) is not None
 
 
 def refuse_without_model(recording: Recording) -> None:
@@ -101,15 +98,14 @@ def scene_of(recording: Recording) -> str:
     """Return the name of a recording's scene, or the path of its model."""
     if model := model_file(recording):
         return str(model.resolve())
-    return check_choice("scene", recording.metadata.get("scene", DEFAULT_SCENE), SCENES)
+    return check_choice("scene", recording.metadata.get("scene", PlantParameters.scene), SCENES)
 
 
 def describe_run(recording: Recording) -> tuple[str, str]:
     """Return the title of a run's pictures: what ran, for how long, and whether to its end."""
     metadata = recording.metadata
     title = str(metadata.get("scenario") or "run").replace("_", " ")
-    span = float(recording.time[-1] - recording.time[0])
-    details = [f"{span:.2f} s"]
+    details = [f"{recording.time[-1] - recording.time[0]:.2f} s"]
     details += [str(metadata[key]) for key in ("scene", "coupling") if metadata.get(key)]
     if metadata.get("complete") is False:
         reason = str(metadata.get("reason") or "stopped early")
@@ -117,21 +113,21 @@ def describe_run(recording: Recording) -> tuple[str, str]:
     return title, " · ".join(details)
 
 
-def frame_times(time: FloatArray, fps: float) -> FloatArray:
+def frame_times(time: Array, fps: float) -> Array:
     """Return the instants (k,) [s] of a video's frames: k/fps from the first row on."""
     # A frame is shown for 1/fps, so 6.5 s at 30 fps are 195 frames, the last of them at 6.467 s.
     count = max(1, round(float(time[-1] - time[0]) * fps))
     return np.asarray(time[0] + np.arange(count) / fps)
 
 
-def slerp(quat_from: FloatArray, quat_to: FloatArray, share: FloatArray) -> FloatArray:
+def slerp(quat_from: Array, quat_to: Array, share: Array) -> Array:
     """Turn unit quaternions (n, 4) (w, x, y, z) by a share (n,) of the shorter arc to others."""
     turn = rotations.log(rotations.multiply(quat_to, rotations.conjugate(quat_from)))
     quat = rotations.multiply(rotations.exp(share[:, None] * turn), quat_from)
     return np.asarray(quat / np.linalg.norm(quat, axis=1, keepdims=True))
 
 
-def interpolate_qpos(time: FloatArray, qpos: FloatArray, at: FloatArray) -> FloatArray:
+def interpolate_qpos(time: Array, qpos: Array, at: Array) -> Array:
     """Return qpos (k, nq) at instants (k,): linear between rows (n, nq), the block by slerp."""
     if len(time) == 1:
         return np.repeat(qpos, len(at), axis=0)
@@ -151,8 +147,7 @@ def key_moments(recording: Recording, count: int) -> list[Moment]:
     labelled = [Moment(begin, "start"), Moment(end, "end")]
     for hold in find_holds(recording):
         labelled += _hold_moments(time, hold)
-    collision = first_collision(recording)
-    if collision is not None:
+    if (collision := first_collision(recording)) is not None:
         labelled.append(Moment(float(time[collision]), "collision"))
     moments: list[Moment] = []
     for moment in sorted(labelled, key=attrgetter("time")):
@@ -176,7 +171,7 @@ def _with_more(moments: list[Moment], count: int) -> list[Moment]:
     return moments
 
 
-def _hold_moments(time: FloatArray, hold: Hold) -> Iterator[Moment]:
+def _hold_moments(time: Array, hold: Hold) -> Iterator[Moment]:
     """Yield the moments around one hold of the block; the instants are the summary's."""
     grasp, last = float(time[hold.grasp]), len(time) - 1
     yield Moment(grasp - GRIP_TIME, "reach")

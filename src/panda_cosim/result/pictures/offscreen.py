@@ -19,12 +19,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, one_line
 from ...fmus.processes import Child, listen
 from ...plant.parameters import PlantParameters
 from ...task.fields import check_choice
 from .gl import RenderError, backends, what_to_install
-from .motion import FloatArray
 
 Image = NDArray[np.uint8]
 Draw = Callable[[Any], bytes]
@@ -58,7 +58,7 @@ class OffscreenRenderer:
             failures[backend] = reply["failed"]
         raise RenderError(what_to_install(failures))
 
-    def frames(self, qpos: FloatArray) -> Iterator[Image]:
+    def frames(self, qpos: Array) -> Iterator[Image]:
         """Yield the image (height, width, 3) of each row of positions (k, nq); take all of them."""
         connection = self._child.connection
         with suppress(OSError):  # ended; the missing reply will show that

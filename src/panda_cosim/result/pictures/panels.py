@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...assets.fields import Array
 from ...assets.franka import OPENING_MAX
 from ...result.judging.holds import Hold, find_holds
 from ...result.judging.limits import shares_over_time
 from ..thinning import drawn_rows
-from .motion import SHAPES, FloatArray, check_signals
+from .motion import SHAPES, check_signals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,12 +48,12 @@ class Curves:
     """A run to plot; each signal is read when it is drawn, as a long one takes much memory."""
 
     recording: Recording
-    time: FloatArray  # (n,) [s]
+    time: Array  # (n,) [s]
     holds: Sequence[Hold]
-    waypoints: FloatArray  # instants of the table's rows (k,) [s], if the recording has them
+    waypoints: Array  # instants of the table's rows (k,) [s], if the recording has them
     names: tuple[str, ...] = ()  # of these rows, if any
 
-    def __getitem__(self, column: str) -> FloatArray:
+    def __getitem__(self, column: str) -> Array:
         """Return a column (n,)."""
         return self.recording[column]
 
@@ -66,7 +67,7 @@ def read_curves(recording: Recording) -> Curves:
     return Curves(recording, recording.time, find_holds(recording), waypoints, names)
 
 
-def trace(axes: Axes, time: FloatArray, values: FloatArray, **style: Any) -> None:
+def trace(axes: Axes, time: Array, values: Array, **style: Any) -> None:
     """Draw a long curve through fewer points."""
     rows = drawn_rows([values], ROWS_DRAWN)
     axes.plot(time[rows], values[rows], **style)
@@ -140,7 +141,7 @@ def _limited(metric: str) -> Panel:
     return draw
 
 
-def _draw_shares(axes: Axes, time: FloatArray, shares: Iterator[FloatArray]) -> list[float]:
+def _draw_shares(axes: Axes, time: Array, shares: Iterator[Array]) -> list[float]:
     """Draw one curve per joint between the two limits; return the joints' peaks [%]."""
     for limit in (-100, 100):
         axes.axhline(limit, color=INK, linewidth=1.0, dashes=(1, 1.5))

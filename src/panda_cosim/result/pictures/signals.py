@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from ...assets.fields import Array
 from ...fmus.errors import InputError, located
 from ...fmus.interface.parameters import literal
 from ...fmus.interface.tables import INTERFACES
@@ -19,7 +20,7 @@ from ...result.recording.reader import by_rows, run_names, shapes_of
 from ...task.criteria import names_of, read_signal
 from ...task.fields import Quantity
 from ..thinning import NOISE
-from .motion import FloatArray, check_signals
+from .motion import check_signals
 from .panels import COLOURS, INK, trace
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Panel:
     title: str
     unit: str
     names: Sequence[str]  # of the curves; "" if there is one
-    read: Callable[[], Iterable[FloatArray]]  # the values of each (n,), one after the other
+    read: Callable[[], Iterable[Array]]  # the values of each (n,), one after the other
 
 
 def all_panels(recording: Recording) -> Iterator[Panel]:

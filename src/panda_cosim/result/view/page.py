@@ -28,7 +28,7 @@ from ...result.judging.summary import Summary
 from ...result.recording import Recording
 from ...result.recording.storage import Metadata
 from ...task.files import model_file
-from ..pictures.motion import DEFAULT_SCENE, has_model
+from ..pictures.motion import has_model
 from .columns import Json
 from .run import Shown
 from .run import describe as describe_run
@@ -104,10 +104,8 @@ def rendered(template: Path, **content: object) -> str:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - slow
 
     loader = FileSystemLoader(template.parent)
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, finalize=shown
-    )
-    return environment.get_template(template.name).render(content)
+    env = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, finalize=shown)
+    return env.get_template(template.name).render(content)
 
 
 def data_elements(documents: Sequence[Document], models: Mapping[str, Json]) -> str:
@@ -211,7 +209,7 @@ def plant_parameters(metadata: Metadata) -> PlantParameters:
     """Return scene, robot and block of a recording of our plant."""
     plant = metadata.get("parameters", {}).get("plant", {})
     values = {key: plant[key] for key in ("robot", "block_mass") if key in plant}
-    scene = metadata.get("scene") or plant.get("scene") or DEFAULT_SCENE
+    scene = metadata.get("scene") or plant.get("scene") or PlantParameters.scene
     if scene not in SCENES or values.get("robot", DEFAULT_ROBOT) not in ROBOTS:
         raise InputError("the recording's plant cannot be drawn: its scene or robot is not known")
     return PlantParameters(scene=scene, **values)
