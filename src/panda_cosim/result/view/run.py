@@ -74,7 +74,7 @@ class Shown:
 def describe(run: Shown, model_key: str, against: Recording | None = None) -> Json:
     """Return a run as plain values."""
     source, metadata = run.source, run.source.metadata
-    columns = {role: _columns(source, signal) for role, signal in ROLES.items()}
+    columns = by_role(source.columns)
     _check(run, len(columns["qpos"]))
     thinning = Thinning.of(source.time)
     title, about = describe_run(source)
@@ -103,6 +103,11 @@ def describe(run: Shown, model_key: str, against: Recording | None = None) -> Js
         "bounds": {name: pair for name, pair in bounds.items() if name in known},
         "curves": shown_curves(CURVES, known),
     }
+
+
+def by_role(columns: Sequence[str]) -> dict[str, list[str]]:
+    """Return the columns of each of `ROLES` in order; none of one that is missing."""
+    return {role: [c for c in columns if signal_of(c) == signal] for role, signal in ROLES.items()}
 
 
 def _check(run: Shown, positions: int) -> None:

@@ -21,12 +21,12 @@ from ...plant.scene import load_scene
 from ...result.view.facts import CURVES, column_bounds, shown_curves
 from ...result.view.model import describe as describe_model
 from ...result.view.page import live_page
-from ...result.view.run import ROLES
+from ...result.view.run import by_role
 from ...run.folder import SCENARIO_FOLDER
 from ...run.session import Session
 from ...task.files import MODEL_FILE
 from ...task.rotations import about_z, rotate
-from ...task.tolerances import signal_of
+from ...task.tolerances import flattened, signal_of
 
 PUSH: Final = "plant.push_force"
 POINTS: Final = 2000  # of a curved path
@@ -41,7 +41,7 @@ HAND: Final[dict[str, object]] = _TABLES["hand"]
 def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str:
     """Return the page of a session as HTML; with an `engine_of` it, it simulates by itself."""
     columns, model = list(session.numbers()), _model(session)
-    values = {f"{i}.{n}": v for i, own in session.parameters.items() for n, v in own.items()}
+    values = dict(flattened(session.parameters))
     bounds = column_bounds(session.scenario.robot) if session.is_panda else {}
     content = {
         "name": session.scenario.name,
@@ -50,10 +50,7 @@ def page_of(session: Session, engine: Mapping[str, object] | None = None) -> str
         "masses": model.body_mass.tolist() if session.is_panda else None,
         "signals": list(_signals(session)),
         "columns": columns,
-        "roles": {
-            role: [column for column in columns if signal_of(column) == signal]
-            for role, signal in ROLES.items()
-        },
+        "roles": by_role(columns),
         "bounds": {name: pair for name, pair in bounds.items() if name in columns},
         "duration": session.scenario.duration,
         "row": list(session.numbers().values()),

@@ -23,6 +23,7 @@ from ...run.folder import SCENARIO_FOLDER
 from ...run.journal import JOURNAL_FILE, Release, Set, SetCoupling
 from ...run.session import Session
 from ...task.fields import validated
+from ...task.tolerances import flattened
 from .page import offset_of, plan
 
 ROW: Final = 0.01  # [s] least wall time between two rows
@@ -140,12 +141,11 @@ class Simulation:
     def status(self) -> dict[str, object]:
         """The simulation's status, in the page's form."""
         session = self._session
-        named = session.parameters.items()
-        values = {f"{fmu}.{name}": v for fmu, own in named for name, v in own.items()}
+        values = dict(flattened(session.parameters))
         return {
             "run": self._run,
             "playing": self._playing,
-            "over": self._session.is_over,
+            "over": session.is_over,
             "speed": self._speed,
             "coupling": session.coupling,
             "values": {name: values[name] for name in session.tunables},
