@@ -49,9 +49,8 @@ from .summary import Metrics
 INTERFACES: Final = ("joint", "cartesian", "torque", "arm")
 BEFORE: Final = 25  # rows that a row is judged with: 19 lost packets, and differences around
 HAND: Final = ("plant.hand_xpos", "plant.hand_xquat")
-Q, QD, FORCE, BIAS, JAC = (
-    f"plant.{name}" for name in ("qpos", "qvel", "actuator_force", "qfrc_bias", "jac")
-)
+Q, QD, FORCE = "plant.qpos", "plant.qvel", "plant.actuator_force"
+BIAS, JAC = "plant.qfrc_bias", "plant.jac"
 MEASURED: Final = (Q, QD, FORCE, BIAS, JAC)
 SENSED: Final = "sensors.qpos_measured"
 MODE: Final = "controller.controller_mode"  # of FrankaInterface; in others, the robot makes torques
@@ -316,8 +315,7 @@ def _start_measures(
     """Yield how far the first command is from where the robot stands, per tick at full speed."""
     measured = signals.get(SENSED, signals.get(Q))
     if reference in signals and measured is not None:
-        away = signals[reference][:1, :7] - measured[:1, :7]
-        yield start_measure(away, limits)
+        yield start_measure(signals[reference][:1, :7] - measured[:1, :7], limits)
     if signals.keys() >= {*COMMAND, *HAND}:
         poses = ((signals[pose[0]][:1], signals[pose[1]][:1]) for pose in (COMMAND, HAND))
         command, hand = (position + _fingertips(turn) for position, turn in poses)

@@ -214,15 +214,12 @@ def open_parquet(path: Path) -> Source:
     columns, metadata = read_schema(path, schema)
     groups = [file.metadata.row_group(number).num_rows for number in range(file.num_row_groups)]
     is_short = len(groups) == 1 and groups[0] <= BLOCK_ROWS
-
-    @cache
-    def only_group() -> Any:
-        return file.read_row_group(0)
+    kept = cache(file.read_row_group)
 
     def tables(names: Sequence[str]) -> Iterator[Any]:
         for number, rows in enumerate(groups):
             # A short run is read once, and kept.
-            table = only_group() if is_short else file.read_row_group(number, list(names))
+            table = kept(0) if is_short else file.read_row_group(number, list(names))
             if any(len(table.column(name)) != rows for name in names):
                 raise ValueError(f"a column does not have {rows} rows")
             yield table
@@ -270,8 +267,7 @@ def values_of(column: Any) -> Array:
 
 def type_of_rows(columns: Sequence[Column]) -> DTypeLike:
     """Return float64 if that holds the values of all columns."""
-    types = {read_type(column.type) for column in columns}
-    return np.float64 if types == {np.float64} else object
+    return np.float64 if {read_type(c.type) for c in columns} == {np.float64} else object
 
 
 def read_type(name: str) -> DTypeLike:
