@@ -35,12 +35,10 @@ def show_row(folder: str | Path, index: int) -> Path:
     row_folder = store.run_folder(index)
     if not (row_folder / SUMMARY_FILE).exists():
         row_folder = _run(changed, place / f"{index:07d}")
+    row = shown_run(row_folder, name=f"row {index}")
     nominal_folder = _run(nominal, place / f"nominal-{number}")
-    runs = [
-        shown_run(row_folder, name=f"row {index}"),
-        shown_run(nominal_folder, name=f"{nominal.name} unvaried"),
-    ]
-    return write_view(runs, place / f"{index:07d}" / VIEW_FILE)
+    unvaried = shown_run(nominal_folder, name=f"{nominal.name} unvaried")
+    return write_view([row, unvaried], place / f"{index:07d}" / VIEW_FILE)
 
 
 def _run(scenario: Scenario, folder: Path) -> Path:
@@ -72,8 +70,8 @@ def promote_row(
         promoted = replace(promoted, expect="failure", expect_reason=reason)
     with temporary_folder(cache_folder()) as scratch:
         run = run_scenario(promoted, scratch / "run")
-        kept = run.folder / SCENARIO_FOLDER  # with the files of its own FMUs
-        shutil.copytree(kept, new, dirs_exist_ok=True)
+        # With the files of its own FMUs.
+        shutil.copytree(run.folder / SCENARIO_FOLDER, new, dirs_exist_ok=True)
         if run.summary.as_expected:
             models = models_of(promoted, run.recording)
             reference = Reference.of(run.recording, run.summary, promoted.regression, models)

@@ -78,10 +78,8 @@ class Backend(ExitStack):
 
     def _lost(self, status: str, chunk: list[Task], error: str) -> list[Done]:
         """Return the rows of a chunk without an answer."""
-        return [
-            Done(task, first_columns(self._job, task) | {"status": status, "error": error})
-            for task in chunk
-        ]
+        said = {"status": status, "error": error}
+        return [Done(task, first_columns(self._job, task) | said) for task in chunk]
 
 
 class Local(Backend):
@@ -158,8 +156,7 @@ class Cluster(Backend):
             ) from error
 
     def _room(self) -> int:
-        threads = int(sum(self._client.nthreads().values()))
-        return AHEAD * max(threads, 1)
+        return AHEAD * max(int(sum(self._client.nthreads().values())), 1)
 
     def _submit(self, chunk: list[Task]) -> Rows:
         submitted: Rows = self._submits(run_chunk, self._shared, chunk)

@@ -36,9 +36,8 @@ def convergence(store: Store) -> Iterator[Convergence]:
         return
     names = [name for name in store.content.columns if name.startswith(f"{MARGIN}.")]
     table = store.table(["index", KEY, *names])
-    steps = table[KEY].to_numpy()
     for name in names:
-        pairs = zip(steps.tolist(), table[name].to_numpy().tolist(), strict=True)
+        pairs = zip(table[KEY].to_pylist(), table[name].to_numpy().tolist(), strict=True)
         known = sorted(pair for pair in pairs if np.isfinite(pair[1]))
         if len(known) >= FEWEST:
             yield _fitted(name.removeprefix(f"{MARGIN}."), known)

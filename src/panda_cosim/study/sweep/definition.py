@@ -165,17 +165,16 @@ class Sweep:
     def __post_init__(self) -> None:
         """Check what concerns several keys."""
         is_list, is_search = self.design == "list", self.design == "search"
-        is_drawn, drawn = is_search or self.design in SAMPLED, ", ".join(SAMPLED)
+        is_sampled, sampled = self.design in SAMPLED, ", ".join(SAMPLED)
         check_rules({
             'file: required with design = "list", and only then': is_list != bool(self.file),
             'vary: sections required, but not with design = "list"': is_list == bool(self.vary),
-            f"samples: required with search, {drawn}, alone": is_drawn != bool(self.samples),
+            f"samples: required with search, {sampled}, alone":
+                (is_search or is_sampled) != bool(self.samples),
             "scenario: a search has one": is_search and len(self.scenario) > 1,
             "min_success: a search has no success rate": is_search and self.min_success,
             "confidence: needs min_success": self.confidence and not self.min_success,
-            f"confidence: needs random rows, of {drawn}": (
-                self.confidence and self.design not in SAMPLED
-            ),
+            f"confidence: needs random rows, of {sampled}": self.confidence and not is_sampled,
         })  # fmt: skip
 
     @classmethod

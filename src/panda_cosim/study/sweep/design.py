@@ -190,19 +190,15 @@ class Search:
         known = store.table().to_pylist() if store.parts() else []
         first = max((row["index"] for row in known), default=-1) + 1
         self._indices = range(first, first + sweep.samples - len(known))
-        sampler = optuna.samplers.TPESampler(
-            n_startup_trials=FIRST, seed=sweep.seed + first, constant_liar=True
-        )
+        seed = sweep.seed + first
+        sampler = optuna.samplers.TPESampler(n_startup_trials=FIRST, seed=seed, constant_liar=True)
         self._study = optuna.create_study(
             direction="minimize" if sweep.goal == "fail" else "maximize", sampler=sampler
         )
         for row in known:
-            params = {key: row[key] for key in self._axes}
-            self._study.add_trial(
-                optuna.trial.create_trial(
-                    params=params, distributions=self._axes, value=self._objective(row)
-                )
-            )
+            params, value = {key: row[key] for key in self._axes}, self._objective(row)
+            trial = optuna.trial.create_trial(params=params, distributions=self._axes, value=value)
+            self._study.add_trial(trial)
 
     def tasks(self) -> Iterator[Task]:
         """Yield Optuna's proposals until all samples are used."""

@@ -58,11 +58,9 @@ def pack(loaded: Loaded) -> Loaded:
     # A law is sent as Python files: its FMU names the local Python, so each worker builds it.
     if not loaded.scenario.has_own_parts:
         return loaded
-    assembly = assemble(loaded.scenario)
     with temporary_folder(cache_folder()) as folder:
-        scenario = with_files(loaded.scenario, assembly, folder)
-        files = read_files(folder)
-    return replace(loaded, scenario=replace(scenario, folder=None), files=files)
+        scenario = with_files(loaded.scenario, assemble(loaded.scenario), folder)
+        return replace(loaded, scenario=replace(scenario, folder=None), files=read_files(folder))
 
 
 def unpack(loaded: Loaded, folder: Path) -> Loaded:

@@ -213,10 +213,8 @@ class Store:
         ordered = sorted(rows, key=lambda row: int(row["index"]))
         number = int(self.parts()[-1].stem[5:]) + 1 if self.parts() else 0
         table = pa.Table.from_pylist(ordered, schema=schema)
-        with (
-            replacing(self.results / f"part-{number:08d}.parquet") as path,
-            path.open("wb") as file,
-        ):
+        part = self.results / f"part-{number:08d}.parquet"
+        with replacing(part) as path, path.open("wb") as file:
             pq.write_table(table, file, write_page_checksum=True)
             os.fsync(file.fileno())
 
@@ -274,10 +272,9 @@ class Store:
         # First come those without success, and among them those without a margin; they are ordered
         # by margin then. A success without a margin, of a scenario without criteria, is the best.
         table = self.table(["index", "margin", "status"])
-        success = table["status"].to_numpy() == "success"
-        margin = table["margin"].to_numpy()
+        index, margin, status = (column.to_numpy() for column in table.columns)
+        success = status == "success"
         rank = np.where(np.isnan(margin), np.where(success, np.inf, -np.inf), margin)
-        index = table["index"].to_numpy()
         chosen = index[np.lexsort((index, rank, success))][:number].tolist()
         return self.rows(chosen, ["scenario", *keys])
 
