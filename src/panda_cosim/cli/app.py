@@ -47,12 +47,8 @@ class Command(PlainFlags, TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Check which options were given together, and call the function."""
-        given = {
-            name
-            for param in self.params
-            for name in param.opts
-            if ctx.params[param.name] not in (param.default, None, ())
-        }
+        params = (p for p in self.params if ctx.params[p.name] not in (p.default, None, ()))
+        given = {name for param in params for name in param.opts}
         for rule in RULES.get(str(self.name), ()):
             first, *others = re.findall("--[a-z-]+", rule)
             if first in given and given.isdisjoint(others) == ("needs" in rule):
@@ -158,10 +154,8 @@ def _usage_message(error: Any) -> str:
     errors: list[Any] = getattr(error.__cause__, "errors", list)()
     if errors:
         rule = message.partition(", unable to parse")[0]
-        value = excerpt(errors[0]["input"])
-        message = rule.replace("Input should be", f"{value}; must be", 1)
-    choice = re.search(r"'([^']*)' is not one of (.*)", message)
-    if choice:
+        message = rule.replace("Input should be", f"{excerpt(errors[0]['input'])}; must be", 1)
+    if choice := re.search(r"'([^']*)' is not one of (.*)", message):
         message += did_you_mean(choice[1], re.findall("'(.*?)'", choice[2]))
     path = getattr(getattr(error, "ctx", None), "command_path", "panda-cosim")
     return f"{message} (see `{path} --help`)"

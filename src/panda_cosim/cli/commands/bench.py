@@ -51,9 +51,8 @@ def tables(result: BenchResult) -> Iterator[Table | str]:
     yield table(("way*", *columns), steps, right=columns, title=title)
     yield f"(c) runs at {result.real_time_factor:.1f} times real time\n"
     ratios = [(name, *r.texts(2), RATIOS[name][2]) for name, r in result.ratios.items()]
-    yield table(
-        ("ratio", *columns, "goal*"), ratios, right=columns, title="Ratios, measured in turns"
-    )
+    heads = ("ratio", *columns, "goal*")
+    yield table(heads, ratios, right=columns, title="Ratios, measured in turns")
     commands = [(what, f"{seconds:.2f} s") for what, seconds in result.start_up.items()]
     yield table(("command*", "best of 7"), commands, right=("best of 7",), title="Whole commands")
     yield ", ".join(f"{key} {value}" for key, value in result.machine.items())

@@ -104,11 +104,9 @@ def _texts(shown: _Shown, code: Mapping[str, str], faults: Sequence[str]) -> Ite
         yield Text(fault, "yellow")
     if shown.connections:
         yield Text("Connections\n", "bold")
-        yield table(
-            ("from", "to", ""),
-            ((source, target, LATE * (f"{source} -> {target}" in shown.late))
-             for source, target, _ in by_variable(shown.connections)),
-        )  # fmt: skip
+        ends = [(source, target) for source, target, _ in by_variable(shown.connections)]
+        wires = [(*each, LATE * (" -> ".join(each) in shown.late)) for each in ends]
+        yield table(("from", "to", ""), wires)
     if len(shown.order) > 1:
         yield order_line(shown.order, [])
 
@@ -117,8 +115,7 @@ def _read(name: str | None) -> _Shown:
     """Read what is asked for; of its code, only PythonFMU slaves are run."""
     if name is None:
         order = stepping_order(INTERFACES, CONNECTIONS)
-        held = late(order, CONNECTIONS, Scenario.coupling)
-        return _Shown(INTERFACES, CONNECTIONS, order, held)
+        return _Shown(INTERFACES, CONNECTIONS, order, late(order, CONNECTIONS, Scenario.coupling))
     if name in OWN:
         wires = [each for each in CONNECTIONS if name in (each.source[0], each.target[0])]
         return _Shown({name: OWN[name].interface}, wires, [name])
@@ -215,8 +212,7 @@ def _variables_tables(interface: Interface) -> Iterator[Table]:
         ]
         filled = [any(cells) for cells in zip(*rows, strict=True)]
         cells = (compress(row, filled) for row in rows)
-        title = f"\n{causality}s, {variability}"
-        yield table([*compress(_COLUMNS, filled)], cells, title=title)
+        yield table([*compress(_COLUMNS, filled)], cells, title=f"\n{causality}s, {variability}")
 
 
 def variables_markdown(interface: Interface) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 
 import typer
@@ -187,10 +188,8 @@ def _qualify(
     if files:
         write_findings(findings, *files)
     listed = [{**asdict(each), "state": each.state} for each in findings]
-    rows = [
-        (each.key, each.change, each.state, each.where)
-        for each in sorted(findings, key=lambda it: it.state)
-    ]
+    by_state = sorted(findings, key=attrgetter("state"))
+    rows = map(attrgetter("key", "change", "state", "where"), by_state)
     items = (table(("Parameter", "change", "state", "by what first, where*"), rows),
              f"{found:.0%} of the changes that have an effect are noticed")  # fmt: skip
     show_result({"score": found, "changes": listed}, items, json=json)
@@ -248,9 +247,8 @@ def _described(outcome: Outcome) -> dict[str, object]:
     """Return what `--json` prints for a scenario; `share` is deviation / tolerance, bad above 1."""
     names = ("name", "verdict", "cause", "reason", "seconds", "criteria", "difference", "flaky")
     of_comparison = ("worst", "first", "compared", "constant_fits")
-    return {name: getattr(outcome, name) for name in names} | {
-        name: getattr(outcome.comparison, name, None) for name in of_comparison
-    }
+    compared = {name: getattr(outcome.comparison, name, None) for name in of_comparison}
+    return {name: getattr(outcome, name) for name in names} | compared
 
 
 def _shown(outcomes: list[Outcome]) -> Iterator[Item]:

@@ -13,8 +13,8 @@ from ...result.pictures.plot import draw, save
 from ...result.pictures.sheet import contact_sheet
 from ...result.pictures.video import check_video
 from ...result.recording import Recording
-from ...result.recording.logs import is_log, open_log
-from ...result.view.mcap import MCAP, write_mcap
+from ...result.recording.logs import MCAP, is_log, open_log
+from ...result.view.mcap import write_mcap
 from ...result.view.page import VIEW_FILE, shown_run, write_view
 from ...result.view.run import Shown
 from ...run.finished import FIGURE_FILE, PLOT_FILE, SHEET_FILE, VIDEO_FILE

@@ -110,8 +110,7 @@ def command(  # noqa: PLR0913 - one for each option
         raise InputError(f"--kind: does not apply to {chosen.system}, which has its own FMUs")
     values = values_of(assignments, controller, plant, coupling=coupling, duration=duration,
                        mujoco=mujoco or None)  # fmt: skip
-    changed = with_parameter_set(chosen, ssv, values, kind)
-    prepared = prepare(changed, options)  # refuses bad input
+    prepared = prepare(with_parameter_set(chosen, ssv, values, kind), options)  # refuses bad input
     is_alone = realtime or bool(prepared.listening)
     output = Output(out, video, plot, view, junit, json, fps, realtime, is_alone)
 

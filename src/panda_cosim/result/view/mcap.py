@@ -23,7 +23,6 @@ from ..pictures.motion import refuse_without_model
 from .columns import Json
 from .page import plant_parameters
 
-MCAP: Final = ".mcap"
 NS: Final = 1_000_000_000
 WORLD: Final = "world"
 
