@@ -60,8 +60,7 @@ def _yaw(quaternion: Array) -> float:
 
 def _tilt(x: Array, y: Array) -> Array:
     """Tilt (n,) [deg] of a body from these parts of its quaternions (w, x, y, z)."""
-    upright = 1 - 2 * (x**2 + y**2)
-    return np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
+    return np.degrees(np.arccos(np.clip(1 - 2 * (x**2 + y**2), -1.0, 1.0)))
 
 
 def _holds(recording: Recording, held: Sequence[Hold]) -> list[Metrics]:

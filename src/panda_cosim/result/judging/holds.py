@@ -84,8 +84,7 @@ def _spans(time: Array, force: Array) -> list[tuple[int, int]]:
 
 def _hold(block: Array, opening: Array | None, grasp: int, end: int) -> Hold:
     release_command = None if opening is None else _release_command(opening, grasp, end)
-    way = np.linalg.norm(block[grasp:end] - block[grasp], axis=1)
-    away = np.flatnonzero(way > LIFTED)
+    away = np.flatnonzero(np.linalg.norm(block[grasp:end] - block[grasp], axis=1) > LIFTED)
     return Hold(grasp, end, release_command, grasp + int(away[0]) if len(away) else None)
 
 

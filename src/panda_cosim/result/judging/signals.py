@@ -200,8 +200,7 @@ def check_bodies(criteria: Iterable[BodyCriterion], units: Mapping[str, str]) ->
     must = f"must be a body whose pose is recorded: {', '.join(bodies) or 'there is none'}"
     for index, criterion in enumerate(criteria, 1):
         if criterion.body not in bodies:
-            place = f"[[success.body]] {index}: body"
-            refuse(place, criterion.body, must, bodies)
+            refuse(f"[[success.body]] {index}: body", criterion.body, must, bodies)
 
 
 def judge_bodies(

@@ -191,8 +191,7 @@ class Summary:
     def to_dict(self) -> Metrics:
         """Return plain values, as JSON holds them."""
         judged = {name: getattr(self, name) for name in ("success", "as_expected", "margin")}
-        head = {"format": FORMAT, "verdict": self.verdict.word, **judged}
-        content = {**head, **vars(self)}
+        content = {"format": FORMAT, "verdict": self.verdict.word, **judged, **vars(self)}
         return dict(to_jsonable_python(content, exclude={"end"}, inf_nan_mode="null"))
 
 

@@ -32,8 +32,7 @@ def contact_sheet(recording: Recording, path: str | Path, *, camera: str = "over
     """Write a PNG with key moments of a run, seen from a camera of the scene."""
     path = Path(path)
     moments = key_moments(recording, MAX_TILES)
-    at = np.array([moment.time for moment in moments])
-    qpos = poses(recording, at)
+    qpos = poses(recording, np.array([moment.time for moment in moments]))
     with closing(OffscreenRenderer(scene_of(recording), *TILE, camera)) as renderer:
         tiles = list(renderer.frames(qpos))
     captions = [f"{moment.time:.2f} s  {moment.label}" for moment in moments]

@@ -290,9 +290,8 @@ def by_rows(
 ) -> NDArray[Any]:
     """Return what a function computes of each row of signals; no signal is whole in memory."""
     # With `before`, the function also gets so many rows before each block but the first.
-    return np.concatenate(
-        [function(*signals) for signals in recording.in_blocks(*names, before=before)]
-    )
+    blocks = recording.in_blocks(*names, before=before)
+    return np.concatenate([function(*signals) for signals in blocks])
 
 
 def run_names(recordings: Sequence[Recording]) -> list[str]:

@@ -93,10 +93,8 @@ def waypoints(metadata: Metadata) -> list[Json]:
     """Return the rows of the scenario's table: their instants [s], and names or numbers."""
     times = metadata.get("row_times", ())
     names = metadata.get("row_names") or [""] * len(times)
-    return [
-        {"time": time, "label": name or str(index)}
-        for index, (time, name) in enumerate(zip(times, names, strict=False), start=1)
-    ]
+    rows = enumerate(zip(times, names, strict=False), start=1)
+    return [{"time": time, "label": name or str(row)} for row, (time, name) in rows]
 
 
 def shown_curves(curves: Iterable[tuple[str, list[str]]], units: Mapping[str, str]) -> list[Json]:

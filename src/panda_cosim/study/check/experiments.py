@@ -177,10 +177,9 @@ def import_experiment(path: Path, folder: Path) -> tuple[list[Path], str]:
     # Its references at the end, or at the last instant for which there are some.
     check_name(folder)
     fmu = read_fmu(path)
-    experiments = _experiments(fmu)
-    if not experiments:
+    experiment = next(iter(_experiments(fmu)), None)
+    if experiment is None:
         raise InputError(f"{path}: holds no experiments")
-    experiment = experiments[0]
     if experiment.start != 0.0:
         raise InputError(f"{path}: startTime {experiment.start:g} of its experiment; must be 0")
     criteria = tuple(islice(_criteria(experiment), MOST_JUDGED))

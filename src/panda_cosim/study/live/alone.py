@@ -112,11 +112,8 @@ def _slave(session: Session, part: Part, columns: list[str]) -> dict[str, object
     fmu = part.source or own_fmu(name)
     at = {scalar.name: scalar.value_reference for scalar in fmu.interface.scalars()}
     fed = [(at[n], f"{name}.{n}", *PLAIN) for i, n in assembly.external if i == name]
-    fed += [
-        (at[each.target[1]], ".".join(each.source), each.factor, each.offset)
-        for each in assembly.connections
-        if each.target[0] == name
-    ]
+    wires = [each for each in assembly.connections if each.target[0] == name]
+    fed += [(at[it.target[1]], ".".join(it.source), it.factor, it.offset) for it in wires]
     return {
         "name": name,
         "token": fmu.token,
