@@ -82,10 +82,8 @@ def _hand(axes: Axes, curves: Curves) -> None:
     for index, name in enumerate("xyz"):
         style = {"color": COLOURS[index], "label": name, "linewidth": 2.2, "alpha": 0.75}
         trace(axes, curves.time, curves[f"{HAND}[{index + 1}]"], **style)
-    for index in range(3):
-        label = COMMAND["label"] if index == 0 else "_"
-        command = curves[f"{POSITION}[{index + 1}]"]
-        trace(axes, curves.time, command, **COMMAND | {"label": label})
+    for axis, label in enumerate((COMMAND["label"], "_", "_"), 1):  # one name in the legend
+        trace(axes, curves.time, curves[f"{POSITION}[{axis}]"], **COMMAND | {"label": label})
     _legend(axes, 4)
 
 
