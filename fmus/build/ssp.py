@@ -22,6 +22,7 @@ from .native import archive
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 PREFIXES: Final[dict[str, str]] = _TABLES["prefixes"]
+STEP_SIZES: Final[Mapping[str, str]] = _TABLES["step_sizes"]
 SYSTEM_OUTPUTS: Final[Mapping[str, Sequence[str]]] = _TABLES["system_outputs"]
 STRUCTURE_FILE: Final = "SystemStructure.ssd"
 # The same system with outputs of its own. It is a second file, which SSP allows, because libcosim

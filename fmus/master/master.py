@@ -96,8 +96,6 @@ class Master:
     state are those of a `PerturbedSystem`.
     """
 
-    columns: list[Name]  # of a row after the time: external inputs, then outputs, as given
-    checked: list[int]  # columns of a row whose values must be finite
     timed = False  # whether calls in C are timed, too; those of Python always are
 
     def __init__(  # noqa: PLR0913 - a run has this many sides
@@ -114,11 +112,12 @@ class Master:
     ) -> None:
         self.step_size, self.start = step_size, start
         self.system, self._stepper, self._at_end = system, stepper, at_end
+        # Of a row after the time: external inputs, then outputs, as given.
         self.columns = [*system.external, *system.read]
         if coupling == "iterated":
             self.columns.append(ITERATIONS)
         self._buffer = RowBuffer(self.columns, system, start, step_size, objects)
-        self.checked = self._buffer.checked
+        self.checked = self._buffer.checked  # columns of a row whose values must be finite
         steps = system.steps
         self.slaves = [
             SlowSlave(each, steps[each.name]) if steps.get(each.name, 1) > 1 else each

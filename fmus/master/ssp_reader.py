@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from ...assets import STEP_SIZE
-from ..build.ssp import PREFIXES
+from ..build.ssp import PREFIXES, STEP_SIZES
 from ..interface.tables import Connection
 from ..interface.variables import Value
 from .order import stepping_order
@@ -17,10 +17,6 @@ from .ssp_structure import End, Structure
 from .wiring import System
 
 DEFAULT_STOP: Final = 1.0  # [s] after the start, if neither the system nor an FMU gives a stop time
-# Where a file may say the master's step size.
-STEP_SIZES: Final = {
-    ".//oms:FixedStepMaster": "stepSize", ".//osp:FixedStepAlgorithm": "baseStepSize"
-}  # fmt: skip
 MASTER: Final = "ssd:Annotations/ssc:Annotation/panda:Master"
 
 

@@ -38,7 +38,6 @@ class Step:
     in the rows.
     """
 
-    fed_back: list[int]  # columns of outputs that a leader or an earlier one reads in the next step
     ended: SimulationEndedError | None = None  # by an FMU, at the end of a step
 
     def __init__(
@@ -57,6 +56,7 @@ class Step:
             if isinstance(slave.slave, SlowSlave):
                 slave.slave.leads = slave in self.leaders
         self.leader_columns = _columns(self.leaders)
+        # Columns of outputs that a leader or an earlier one reads in the next step.
         self.fed_back = _columns(_feeding_back(self.leaders))
         inputs = {column for slave in slaves for column in slave.inputs}
         self._fed = sorted(inputs.intersection(_columns(slaves)))

@@ -273,9 +273,6 @@ class RowBuffer:
     """
 
     rows: Array  # (BLOCK_ROWS + 1, 1 + external + outputs)
-    first: int  # tick of the first row
-    filled: int  # number of complete rows
-    checked: list[int]  # columns whose values must be finite
 
     def __init__(
         self,
@@ -288,6 +285,7 @@ class RowBuffer:
         dtype = object if objects else np.float64
         self.rows = np.zeros((BLOCK_ROWS + 1, 1 + len(columns)), dtype)
         free = {*objects, *system.not_finite}
+        # Columns whose values must be finite.
         self.checked = [0, *(i for i, name in enumerate(columns, 1) if name not in free)]
         self._columns = columns
         self.external = len(system.external)
@@ -319,6 +317,7 @@ class RowBuffer:
 
     def _begin_at(self, tick: int) -> None:
         """Have no complete row, and a tick's row as the first."""
+        # Tick of the first row, and numbers of complete rows, and of those that were flushed.
         self.first, self.filled, self._flushed = tick, 0, 0
         ticks = np.arange(tick, tick + len(self.rows))
         self.rows[:, 0] = self._start + ticks * self._step_size

@@ -115,8 +115,7 @@ class Session(Execution):
         ssv: Path | str | None = None,
     ) -> None:
         options, loaded = options or Options(), load_scenario(scenario)
-        file = None if ssv is None else Path(ssv)
-        scenario = with_parameter_set(loaded, file, values or {}, options.kind)
+        scenario = with_parameter_set(loaded, ssv, values or {}, options.kind)
         if options.realtime or options.time_limit is not None:
             raise InputError("realtime, time_limit: do not apply to a session; its caller steps it")
         super().__init__(prepare(scenario, options, interactive=True), out, journals=True)

@@ -184,5 +184,4 @@ def carried_mass(scenario: Scenario, values: StartValues) -> float:
 
 def instants(scenario: Scenario) -> NDArray[np.float64]:
     """Instants of all rows of a run, k * dt (n + 1,) [s]."""
-    times: NDArray[np.float64] = scenario.step * np.arange(scenario.ticks + 1, dtype=np.float64)
-    return times
+    return np.asarray(scenario.step * np.arange(scenario.ticks + 1, dtype=np.float64))

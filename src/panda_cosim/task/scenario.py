@@ -331,8 +331,8 @@ class Scenario:
                     must = f"must be left out, as {TABLE_FILE} has inputs"
                     refuse("[inputs] file", inputs["file"], must)
                 driven = InputTable.read(folder / Line().check("[inputs] file", inputs["file"]))
-            keys["name"] = folder.resolve().name
-            return cls(**keys, table=table, input_table=driven, folder=folder)
+            name = folder.resolve().name
+            return cls(**keys, name=name, table=table, input_table=driven, folder=folder)
 
     @typed
     def changed(self, values: Values) -> Scenario:

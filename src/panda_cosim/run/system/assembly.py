@@ -202,7 +202,7 @@ def assemble(
 
 
 def with_parameter_set(
-    scenario: Scenario, ssv: Path | None, values: Values, kind: Kind = "auto", *,
+    scenario: Scenario, ssv: Path | str | None, values: Values, kind: Kind = "auto", *,
     run_code: bool = True,
 ) -> Scenario:  # fmt: skip
     """Return a scenario with values by key, which go before those of an .ssv file, if any."""
@@ -211,7 +211,7 @@ def with_parameter_set(
         return changed
     from ...fmus.master.ssp_parameters import read_parameters  # noqa: PLC0415 - rarely needed
 
-    found = read_parameters(ssv, assemble(changed, kind, run_code=run_code).interfaces)
+    found = read_parameters(Path(ssv), assemble(changed, kind, run_code=run_code).interfaces)
     return changed.changed(found).changed(values)
 
 
