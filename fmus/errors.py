@@ -5,7 +5,7 @@ Text is on one line, printable, with the nearest valid name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any, Final, NoReturn
@@ -52,6 +52,11 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """Return "; did you mean 'x'?" to append to a message, or "" if no valid name is near."""
     near = nearest(name, valid)
     return f"; did you mean {near!r}?" if near else ""
+
+
+def valid_names(name: str, valid: Collection[str]) -> str:
+    """Return "valid: x, y; did you mean 'x'?" to append to a message about a mistyped name."""
+    return f"valid: {', '.join(valid) or 'none'}{did_you_mean(name, valid)}"
 
 
 def legible(text: str, limit: int | None = None) -> str:

@@ -7,7 +7,7 @@ from copy import copy
 import numpy as np
 
 from ..assets import STEP_SIZE
-from ..fmus.errors import InputError, did_you_mean
+from ..fmus.errors import InputError, valid_names
 from ..fmus.interface.plant import FORCES
 from ..fmus.interface.tables import INTERFACES
 from ..fmus.interface.types import in_row
@@ -113,10 +113,9 @@ class Inputs:
         pushed = self._scenario.pushed
         forces = np.zeros((len(times), len(pushed), 3))
         for push in self._scenario.push:
-            active = (times >= push.start - STEP_SIZE / 2) & (
-                times < push.start + push.duration - STEP_SIZE / 2
-            )
-            forces[active, pushed.index(push.on)] += push.force
+            ends = np.array([push.start, push.start + push.duration]) - STEP_SIZE / 2
+            first, last = np.searchsorted(times, ends)
+            forces[first:last, pushed.index(push.on)] += push.force
         return forces.reshape(len(times), -1)
 
     # Values held instead.
@@ -150,10 +149,7 @@ class Inputs:
         """Columns of an input, or of one of its elements."""
         if name not in self:
             valid = list(dict.fromkeys(n.partition("[")[0] for n in self._names))
-            raise InputError(
-                f"{name}: is not an external input; valid: {', '.join(valid)}"
-                f"{did_you_mean(name, valid)}"
-            )
+            raise InputError(f"{name}: is not an external input; {valid_names(name, valid)}")
         return self._columns[name]
 
     def __contains__(self, name: str) -> bool:

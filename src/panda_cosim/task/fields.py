@@ -25,7 +25,7 @@ from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import CoreSchema, core_schema
 
-from ..fmus.errors import InputError, did_you_mean, excerpt, refuse
+from ..fmus.errors import InputError, excerpt, refuse, valid_names
 
 T = TypeVar("T")
 Loc = tuple[str | int, ...]
@@ -213,7 +213,7 @@ def check_keys(
 
 
 def _unknown(key: str, valid: Collection[str], kind: str = "key") -> str:
-    return f"{kind} {excerpt(key)} is unknown; valid: {', '.join(valid)}{did_you_mean(key, valid)}"
+    return f"{kind} {excerpt(key)} is unknown; {valid_names(key, valid)}"
 
 
 def _describe(error: ValidationError, cls: type) -> str:

@@ -16,7 +16,7 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from ..fmus.errors import InputError, did_you_mean
+from ..fmus.errors import InputError, did_you_mean, valid_names
 from ..fmus.interface.parameters import ParameterValue
 from ..fmus.interface.tables import INTERFACES
 from .fields import Line, field_names
@@ -111,8 +111,7 @@ def _steps(scenario: Scenario, fmus: Collection[str], key: str) -> Steps:
     ours = () if scenario.is_system else ("plant", "controller", "sensors")
     instances = dict.fromkeys((*ours, *sorted(fmus)))
     if section not in instances and not scenario.system:  # else they are in its file
-        valid = f"{', '.join(instances)}{did_you_mean(section, instances)}"
-        raise InputError(f"{key}: no instance {section!r}; valid: {valid}")
+        raise InputError(f"{key}: no instance {section!r}; {valid_names(section, instances)}")
     return (section, name) if section in _BY_NAME else ("parameters", section, name)
 
 

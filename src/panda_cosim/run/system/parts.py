@@ -13,7 +13,7 @@ import numpy as np
 from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
 from ...fmus.build.engines import has_engine
 from ...fmus.build.native import NativeFmu
-from ...fmus.errors import InputError, did_you_mean, excerpt, refuse
+from ...fmus.errors import InputError, did_you_mean, excerpt, refuse, valid_names
 from ...fmus.interface.sensors import MEASURED
 from ...fmus.interface.tables import INTERFACES
 from ...fmus.interface.variables import Interface, Variable
@@ -231,10 +231,8 @@ def _ctrl_of(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, Pa
     for variable in inputs.values():
         if variable.name == "ctrl":
             return variable
-    raise InputError(
-        f"{law.path}: no input takes the ctrl of {name}; [connect] must name one of "
-        f"{', '.join(inputs) or 'none'}{did_you_mean('ctrl', inputs)}"
-    )
+    must = f"must name one of {', '.join(inputs) or 'none'}{did_you_mean('ctrl', inputs)}"
+    raise InputError(f"{law.path}: no input takes the ctrl of {name}; [connect] {must}")
 
 
 def _variable(parts: Mapping[str, Part], end: str, causality: str) -> Variable | None:
@@ -247,10 +245,8 @@ def split(place: str, key: str, fmus: Collection[str]) -> Name:
     fitting = [name for name in fmus if key.startswith(f"{name}.")]
     if not fitting:
         first = key.partition(".")[0]
-        raise InputError(
-            f"{place}{excerpt(key)}: no FMU {excerpt(first)}; valid: {', '.join(fmus)}"
-            f"{did_you_mean(first, fmus)}"
-        )
+        valid = valid_names(first, fmus)
+        raise InputError(f"{place}{excerpt(key)}: no FMU {excerpt(first)}; {valid}")
     instance = max(fitting, key=len)
     return instance, key.removeprefix(f"{instance}.")
 
@@ -266,7 +262,6 @@ def end_of(
         names = [v.name for v in part.interface.variables if v.causality == causality]
         raise InputError(
             f"{place}{excerpt(text)}: {instance} ({part.file or part.interface.model}) has no "
-            f"{causality} of this name; valid: {', '.join(names) or 'none'}"
-            f"{did_you_mean(name, names)}"
+            f"{causality} of this name; {valid_names(name, names)}"
         )
     return instance, variable
