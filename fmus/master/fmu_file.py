@@ -163,10 +163,8 @@ class Fmu:
     def check_restorable(self, whose: str) -> None:
         """Refuse an FMU whose state cannot be saved and restored; `whose` is for the message."""
         if not self.description.coSimulation.canGetAndSetFMUstate:
-            raise InputError(
-                f"{self.label}: {whose} cannot restore its state; its FMU must have "
-                f"canGetAndSetFMU{'s' if self.fmi == 2 else 'S'}tate"
-            )
+            must = f"must have canGetAndSetFMU{'s' if self.fmi == 2 else 'S'}tate"
+            raise InputError(f"{self.label}: {whose} cannot restore its state; its FMU {must}")
 
     def variable(self, name: str) -> Scalar:
         """Return a scalar; raises InputError if there is no variable of this name."""
@@ -226,10 +224,8 @@ def _read_description(label: str, folder: Path, root: ET.Element) -> Any:
     place = f"{label}: modelDescription.xml"
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version not in VERSIONS:
-        raise InputError(
-            f"{place}: {excerpt(root.tag)} of fmiVersion {version!a}; must be a "
-            "fmiModelDescription of '2.0' or '3.0'"
-        )
+        must = "must be a fmiModelDescription of '2.0' or '3.0'"
+        raise InputError(f"{place}: {excerpt(root.tag)} of fmiVersion {version!a}; {must}")
     try:
         try:
             description = read_model_description(str(folder), validate=False)

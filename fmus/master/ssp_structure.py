@@ -252,10 +252,8 @@ class Structure:
             other = self.units[end]
             scale = conversion(*unit, *other) if link.converts_units else PLAIN
             if scale is None:
-                raise InputError(
-                    f"{place}: unit {unit[0]!r} feeds unit {other[0]!r}; must be the same, of the "
-                    "same SI base units, or have suppressUnitConversion"
-                )
+                must = "must be the same, of the same SI base units, or have suppressUnitConversion"
+                raise InputError(f"{place}: unit {unit[0]!r} feeds unit {other[0]!r}; {must}")
             for by, plus in ((scale[0], 0.0 if is_difference else scale[1]), link.linear):
                 factor, offset = by * factor, by * offset + plus
             unit = other if other[0] else unit

@@ -71,10 +71,8 @@ def _check_connections(fmus: Mapping[str, Fmu], system: System) -> None:
     for connection in system.connections:
         source, target = (scalar.variable for _, scalar in _ends(fmus, connection))
         if not (can_convert if connection.converts_types else is_lossless)(source, target):
-            raise InputError(
-                f"{connection}: type {type_of(source)} feeds type {type_of(target)}; must be one "
-                "that holds all its values"
-            )
+            types = f"type {type_of(source)} feeds type {type_of(target)}"
+            raise InputError(f"{connection}: {types}; must be one that holds all its values")
         in_units(fmus, connection)
 
 
@@ -125,10 +123,8 @@ def in_units(fmus: Mapping[str, Fmu], connection: Connection) -> Connection:
     (source, one), (target, other) = ends
     scale = conversion(one.unit, source.units, other.unit, target.units)
     if scale is None and not connection.converts_types:
-        raise InputError(
-            f"{connection}: unit {one.unit!r} feeds unit {other.unit!r}; must be the same, or "
-            "both defined by the same SI base units"
-        )
+        must = "must be the same, or both defined by the same SI base units"
+        raise InputError(f"{connection}: unit {one.unit!r} feeds unit {other.unit!r}; {must}")
     if scale in (None, PLAIN):  # no copy of each of the many
         return connection
     is_difference = any(scalar.variable.name in fmu.relative for fmu, scalar in ends)

@@ -114,10 +114,8 @@ def law_interface(
 
 def _input(law: LawFile, name: str, signal: Variable | None) -> Variable:
     if signal is None:
-        raise InputError(
-            f"{law.path}: {law.name}.update takes {name!r}, which does not exist; must be a "
-            "command or an output of another FMU"
-        )
+        what = f"{law.name}.update takes {name!r}, which does not exist"
+        raise InputError(f"{law.path}: {what}; must be a command or an output of another FMU")
     start: Any = 0.0 if signal.start is None else signal.start
     return Variable(
         name, signal.shape, signal.unit, "input", "continuous", signal.description, start

@@ -108,10 +108,8 @@ def _refuse_plugins(path: Path) -> None:
         spec = _spec(path)
         spec.compile()
         names = set(re.findall(' plugin="(.*?)"', spec.to_xml()))
-    raise InputError(
-        f"{path}: uses plugins, {', '.join(sorted(names))}, which FMUs cannot hold; must be "
-        "a model of MuJoCo's own elements"
-    )
+    what = f"uses plugins, {', '.join(sorted(names))}, which FMUs cannot hold"
+    raise InputError(f"{path}: {what}; must be a model of MuJoCo's own elements")
 
 
 def _refuse_shared_inputs(table: Interface) -> None:
@@ -123,10 +121,8 @@ def _refuse_shared_inputs(table: Interface) -> None:
             other = by_place.setdefault((field, int(first) + i), variable.name)
             if other != variable.name:
                 what = variable.details[i] if variable.details else variable.source
-                raise InputError(
-                    f"inputs {other} and {variable.name} both set {what}; must be one of them: an "
-                    "interface file chooses all inputs"
-                )
+                must = "must be one of them: an interface file chooses all inputs"
+                raise InputError(f"inputs {other} and {variable.name} both set {what}; {must}")
 
 
 def _described(model: Any, options: ModelOptions, stem: str) -> Description:

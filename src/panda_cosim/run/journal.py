@@ -152,10 +152,8 @@ class Journal:
         if path.is_dir():
             path = path / JOURNAL_FILE
         if not path.exists():
-            raise InputError(
-                f"{path}: no such file; must be the journal of a run of `live` or "
-                "Session, or the run's folder"
-            )
+            must = "must be the journal of a run of `live` or Session, or the run's folder"
+            raise InputError(f"{path}: no such file; {must}")
         lines = io.StringIO(read_text(path, _MAX_BYTES), newline=None)
         with validated(f"{path}: line 1"):
             head = Head.model_validate_json(lines.readline())

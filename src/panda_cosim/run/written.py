@@ -31,10 +31,8 @@ LAW: Final = (
 def written_system(scenario: Scenario, target: Target) -> WrittenSystem:
     """Build the FMUs of a scenario, and say how they are connected."""
     if scenario.system:
-        raise InputError(
-            f"scenario {scenario.name!r}: system = {scenario.system!r} is an .ssp file already; "
-            "must be a scenario of FMUs"
-        )
+        what = f"system = {scenario.system!r} is an .ssp file already"
+        raise InputError(f"scenario {scenario.name!r}: {what}; must be a scenario of FMUs")
     prepared = prepare(scenario, Options(kind=target.kind))
     makers = {part.name: part.make for part in prepared.assembly.parts}
     connections, player = [*prepared.assembly.connections], Player(prepared)
@@ -135,10 +133,8 @@ class Player:
         for name, end in self.played.items():
             scalar = self._prepared.assembly.scalars[end]
             if (kind := type_of(scalar.variable)) != "Float64":
-                raise InputError(
-                    f"[inputs] {scalar.name}: is of type {kind}; must be a Real, or a value that "
-                    "does not change over time"
-                )
+                must = "must be a Real, or a value that does not change over time"
+                raise InputError(f"[inputs] {scalar.name}: is of type {kind}; {must}")
             yield Variable(
                 name, (), scalar.unit, "output", "continuous", scalar.variable.description
             )

@@ -158,10 +158,8 @@ class Connector:
         can_ask = can_convert(giving, fed) and is_of_fmu
         hint = f', or be asked for in [connect]: "{target}" = "convert({source})"' * can_ask
         if not (can_convert if converts else is_lossless)(giving, fed):
-            raise InputError(
-                f"{ends}; type {type_of(giving)} feeds type {type_of(fed)}, which must be able to "
-                f"hold all its values{hint}"
-            )
+            must = f"which must be able to hold all its values{hint}"
+            raise InputError(f"{ends}; type {type_of(giving)} feeds type {type_of(fed)}, {must}")
         for wrong in [] if converts else self._apart(source, giving, target, fed):
             raise InputError(
                 f"{ends}; must have the same unit, or both be defined by the same SI base "
