@@ -30,6 +30,7 @@ class LawSlave:
         self._variables, self._start = layout["variables"], layout["start"]
         self._step = float(layout["step"])
         self._first = layout["first"]  # what the first `ctrl` must be like
+        self._rates = layout["rates"]  # most by which `ctrl` changes [1/s]; None: any
         self._law: Any = None
         self._ticks, self._start_time = 0, 0.0
 
@@ -68,10 +69,10 @@ class LawSlave:
         period = max(round(getattr(self._law, "period", self._step) / self._step), 1)
         for _ in range(count):
             if self._ticks % period == 0:
-                self._update(self._start_time + self._ticks * self._step)
+                self._update(self._start_time + self._ticks * self._step, period * self._step)
             self._ticks += 1
 
-    def _update(self, time: float) -> None:
+    def _update(self, time: float, since: float) -> None:
         given = {name: _value(view) for name, view in self._inputs.items()}
         try:
             answer = self._law.update(time, **given)
@@ -96,6 +97,9 @@ class LawSlave:
                 raise ValueError(
                     f"update: ctrl starts with {arm.round(2)}; {self._first['reason']}"
                 )
+        if self._rates and self._ticks:
+            most = np.multiply(self._rates, since)
+            ctrl = np.clip(ctrl, self._ctrl - most, self._ctrl + most)
         self._ctrl[...] = ctrl
 
     def get_state(self) -> bytes:

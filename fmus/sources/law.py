@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -137,8 +137,12 @@ def law_fmu(
     interface: Interface,
     start: tuple[float, ...],
     first: Mapping[str, Any] | None = None,
+    rates: Sequence[float] | None = None,
 ) -> NativeFmu:
-    """Describe a law's FMU; `start` is `ctrl` before the first update, by element."""
+    """Describe a law's FMU; `start` is `ctrl` before the first update, by element.
+
+    `rates` [1/s], by element, are the most by which `ctrl` follows what the law returns.
+    """
     # `first`: bounds `low` and `high` of the first `ctrl`, for as many elements; whether all must
     # be `within`, or at least one beyond; the `reason` for the message.
     set_law = f"\nfrom {law.path.stem} import {law.name} as LAW\n"
@@ -147,7 +151,7 @@ def law_fmu(
          "is_switch": v.kind == "Boolean"}
         for v in interface.variables
     ]  # fmt: skip
-    layout = {"step": STEP_SIZE, "variables": rows, "start": start, "first": first}
+    layout = {"step": STEP_SIZE, "variables": rows, "start": start, "first": first, "rates": rates}
     return python_fmu(
         interface,
         law.text,

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from fault_support import write_files
 from panda_cosim import Run, Scenario, load_scenario, run_scenario, shipped_scenarios
-from panda_cosim.assets.franka import CTRL_OPEN, FINGER_SPEED_MAX, OPENING_MAX
+from panda_cosim.assets.franka import CTRL_OPEN, FINGER_SPEED_MAX, HOME_Q, OPENING_MAX
 from panda_cosim.cli.app import app
 from panda_cosim.result.judging.advice import advise, weakest_grip
 from panda_cosim.run.prepare import prepare
@@ -232,26 +232,48 @@ class Damped:
         return [*torque, 255.0 if time < 0.2 else 0.0]
 
 
-def advice(**parameters: float) -> list[str]:
-    """Return what is said of a run of this law."""
-    law = {"fmus.controller": Damped, "scene": "motors", "duration": 0.4}
-    values = law | {f"controller.{name}": value for name, value in parameters.items()}
-    run = rehearse(prepare(load_scenario("tutorial").changed(values)))
+class Home:
+    """Holds the arm by its servos; the gripper's command jumps."""
+
+    def update(self, time, qpos):
+        """Return servo targets, and the gripper's command."""
+        return [*HOME_Q, 255.0 if time < 0.2 else 0.0]
+
+
+def of_law(law: type, scene: str, **parameters: float) -> Run:
+    """Run a law in memory."""
+    values = {"fmus.controller": law, "scene": scene, "duration": 0.4}
+    values |= {f"controller.{name}": value for name, value in parameters.items()}
+    return rehearse(prepare(load_scenario("tutorial").changed(values)))
+
+
+def advice(run: Run) -> list[str]:
     return list(advise(run.recording, run.summary, ours=False))
 
 
 @pytest.mark.parametrize(("damping", "unstable"), [(1000.0, True), (10.0, False)])
 def test_a_torque_that_swings_from_limit_to_limit_is_an_unstable_loop(damping, unstable):
-    told = advice(damping=damping, torque=200.0)
+    told = advice(of_law(Damped, "motors", damping=damping, torque=200.0))
     (limit,) = (line for line in told if "torque limit of joint" in line)
     assert ("the loop is unstable" in limit) == unstable
     assert ("give that row more time" in limit) == (not unstable)
 
 
-def test_fingers_that_are_too_fast_need_a_gradual_command():
-    (line,) = (line for line in advice() if "finger speed" in line)
+def test_fingers_are_too_fast_by_a_command_that_jumps_or_a_touch_but_not_with_motors(
+    monkeypatch,
+):
     rate = 0.001 * FINGER_SPEED_MAX / (OPENING_MAX / 2) * CTRL_OPEN  # a ms
+    run = of_law(Home, "tabletop")
+    (line,) = (line for line in advice(run) if "finger speed" in line)
     assert f"; move the gripper's command gradually, by at most {rate:.2f} (of 255) a ms" in line
+    monkeypatch.setattr("panda_cosim.result.judging.advice.GRADUAL", CTRL_OPEN)  # as if it did not
+    (line,) = (line for line in advice(run) if "finger speed" in line)
+    assert "; no command asks for it: touch and set bodies down more gently" in line
+    run = of_law(Damped, "motors")  # the hand moves as fast as it can
+    assert not [line for line in advice(run) if "finger speed" in line]
+    moves = np.diff(run.recording["controller.ctrl[8]"])
+    assert moves[-150:] == pytest.approx(-rate)
+    assert moves.min() == pytest.approx(-rate)
 
 
 @pytest.mark.parametrize("yaw", [2.8, -2.4])

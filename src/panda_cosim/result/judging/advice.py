@@ -34,6 +34,8 @@ Finding = tuple[float, str, str]  # when [s], what is wrong then, and which reme
 
 REMEDIES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 SINGULAR: Final = "controller.singular"
+GRIPPER: Final = "controller.ctrl[8]"
+GRADUAL: Final = 0.32  # of 255, in a tick, by which it may move
 GRAVITY: Final = 9.81  # [m/s^2]
 SLIDING: Final = 0.05  # [m/s] of a held block on table or floor, above which it is no setting down
 AWAY: Final = 0.001  # [m] of the hand from where it took the block or let it go
@@ -106,6 +108,8 @@ def _limits(recording: Recording, summary: Summary) -> Iterator[Finding]:
         causes += _pushes(recording, at)
         text = f"{name} is {share} of its limit at t = {at:.3f} s"
         kind = name.partition(" of ")[0]
+        if kind == "finger speed" and not _is_commanded(recording, at):
+            kind = "finger touch"
         yield at, text, remedy(at, kind) if kind in REMEDIES else ""
 
 
@@ -114,6 +118,14 @@ def _swings(recording: Recording, at: float, joint: int) -> bool:
     soon = (recording.time >= at) & (recording.time < at + SWING)
     torque = recording[f"plant.actuator_force[{joint}]"][soon]
     return min(float(torque.max()), -float(torque.min())) > SWUNG * abs(float(torque[0]))
+
+
+def _is_commanded(recording: Recording, at: float) -> bool:
+    """Whether the gripper's command has just moved faster than the fingers can; if unknown, yes."""
+    if GRIPPER not in recording:
+        return True
+    before = (recording.time > at - SWING) & (recording.time <= at)
+    return bool((np.abs(np.diff(recording[GRIPPER][before])) > GRADUAL).any())
 
 
 def _pushes(recording: Recording, at: float) -> Iterator[tuple[float, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ...assets.franka import CTRL_OPEN, HOME_Q, Q_MAX, Q_MIN
+from ...assets.franka import CTRL_OPEN, FINGER_SPEED_MAX, HOME_Q, OPENING_MAX, Q_MAX, Q_MIN
 from ...fmus.build.engines import has_engine
 from ...fmus.build.native import NativeFmu
 from ...fmus.errors import InputError, did_you_mean, excerpt, refuse, valid_names
@@ -36,6 +37,8 @@ TORQUES: Final = Variable(
     "ctrl", (8,), (*["N.m"] * 7, "1"), "input", "continuous", "Torques of seven joints, then the "
     "gripper, 0 (closed) to 255 (open)", (0.0,) * 7 + (CTRL_OPEN,),
 )  # fmt: skip
+# [1/s] By which it follows the law: the Franka Hand moves its fingers no faster.
+RATES: Final = (*[math.inf] * 7, CTRL_OPEN * 2.0 * FINGER_SPEED_MAX / OPENING_MAX)
 # A law's first output that is surely not what the scene takes:
 AT_HOME: Final = 0.2  # [rad] torques of all joints that are so near to the joints' angles
 BEYOND: Final = 1.0  # [rad] angles that are so far beyond a joint's range
@@ -177,7 +180,8 @@ def _law_part(scenario: Scenario, name: str, law: LawFile, parts: Mapping[str, P
     interface = law_interface(law, _signals(scenario, name, is_ours, parts).get, ctrl)
     start = tuple(float(s.start or 0.0) for s in ctrl.scalars(0))
     first = _first_ctrl(scenario) if is_ours else None
-    return Part(name, law.path, interface, source=law_fmu(law, interface, start, first))
+    rates = RATES if ctrl is TORQUES else None
+    return Part(name, law.path, interface, source=law_fmu(law, interface, start, first, rates))
 
 
 def _signals(
