@@ -15,7 +15,7 @@ from forked import command as cli
 from forked import run_pytest, script
 from panda_cosim import load_scenario, shipped_scenarios
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.study.compare.outcome import Outcome, exit_code
+from panda_cosim.study.compare.outcome import Outcome
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.compare.repeats import merged
@@ -289,57 +289,33 @@ def test_pytest_refuses_a_folder_of_which_it_collects_nothing(tmp_path):
 RANDOM = """import numpy as np
 class Law:
     def update(self, time, qpos):
-        away = 1e-3 * (time > 0.1) * np.random.default_rng().random()
-        return np.hstack((qpos + away, 0.0))
+        return np.hstack((qpos + 1e-3 * (time > 0.1) * np.random.default_rng().random(), 0.0))
 """
 
 
-@pytest.fixture
-def erratic(approved, tmp_path):
-    """Return a suite of the short scenario, and of one in which no two runs are the same."""
+def test_a_case_whose_repeats_or_nights_differ_is_flaky(approved, tmp_path):
     shutil.copytree(approved, tmp_path / "mine" / "short")
-    folder = write_short(tmp_path / "mine" / "random")
+    settings = 'duration = 0.2\nfmus.controller = "law.py:Law"\nsuccess.max_unwanted_force = 1e3\n'
+    folder = write_files(tmp_path / "mine" / "random", settings)
     (folder / "law.py").write_text(RANDOM)
-    settings = SETTINGS.replace("tracking_max", "max_unwanted_force").replace("0.005", "1e3")
-    (folder / "scenario.toml").write_text(f'{settings}[fmus]\ncontroller = "law.py:Law"\n')
-    report = ("--report", tmp_path, "--overwrite")
-    return ("regress", "--jobs", 1, "--scenarios", tmp_path / "mine", *report)
-
-
-def test_a_case_whose_repeats_differ_is_flaky_and_fails(erratic, tmp_path):
-    told = cli(*erratic, "--repeat", 3, "--json", code=1)
-    found = {each["name"]: each for each in json.loads(told.stdout)["scenarios"]}
-    assert (found["random"]["verdict"], found["short"]["verdict"]) == ("flaky", "same")
+    regress = ("regress", "-j1", "--scenarios", folder.parent, "--report", tmp_path, "--overwrite")
     said = "2 of 2 repeats differ from the first run: the recording from tick 10"
-    assert found["random"]["reason"].startswith(said)
-    failure = ET.parse(tmp_path / "junit.xml").find(".//failure")
-    assert failure is not None
-    assert (failure.get("type"), failure.get("message")) == ("flaky", found["random"]["reason"])
-    assert said in (tmp_path / "report.html").read_text()
-
-
-def test_repeats_of_other_verdicts_are_shown_as_the_worst_of_them(tmp_path):
+    assert re.search(f"random +flaky +{said}", cli(*regress, "--repeat", 3, code=1).stdout)
+    assert f'<failure type="flaky" message="{said}' in (tmp_path / "junit.xml").read_text()
     runs = [Outcome(load_scenario("push"), v, tmp_path, 1.0) for v in ("same", "differs", "same")]
-    flaky = merged(*runs)
-    assert (flaky.verdict, exit_code([flaky])) == ("flaky", 1)
-    assert flaky.reason.endswith("one is 'differs', the first 'same'")
+    assert merged(*runs).reason.endswith("one is 'differs', the first 'same'")
     assert merged(runs[0], runs[2]) is runs[0]
 
-
-def test_a_history_marks_what_changes_over_nights_of_the_same_code_and_scenario(erratic, tmp_path):
     nights = tmp_path / "nights" / "history.jsonl"
-    for _ in range(2):
-        told = cli(*erratic, "--history", nights, code=0)
-    assert "random: flaky: 2 results in 2 nights of the same code and scenario" in told.stdout
-    assert "short: flaky" not in told.stdout
-    page, xml = ((tmp_path / name).read_text() for name in ("report.html", "junit.xml"))
-    assert page.count('"badge warn">flaky') == 2
-    assert "flaky" not in xml
-    (tmp_path / "mine" / "random" / "law.py").write_text(RANDOM.replace("0.1)", "0.11)"))
-    assert "flaky" not in cli(*erratic, "--history", nights, code=0).stdout
-    lines = [json.loads(line) for line in nights.read_text().splitlines()]
-    assert [each["verdict"] for each in lines] == ["holds", "same"] * 3
-    with nights.open("a") as file:
-        file.write("{}\n")
-    refused = cli(*erratic, "--history", nights, code=2).stderr
-    assert "history.jsonl: line 7: value '{}'; must be one that regress --history wrote" in refused
+    regress = (*regress, "--history", nights)
+    told = [cli(*regress, code=0).stdout for _ in range(2)][1]
+    assert "random: flaky: 2 results in 2 nights of the same code and scenario" in told
+    assert "short: flaky" not in told
+    assert (tmp_path / "report.html").read_text().count('"badge warn">flaky') == 2
+    assert "flaky" not in (tmp_path / "junit.xml").read_text()
+    (folder / "law.py").write_text(RANDOM.replace("0.1)", "0.11)"))
+    assert "flaky" not in cli(*regress, code=0).stdout
+    assert nights.read_text().count('"verdict":"holds","share":null,') == 3
+    nights.write_text("{}")
+    refused = "history.jsonl: line 1: value '{}'; must be one that regress --history wrote"
+    assert refused in cli(*regress, code=2).stderr

@@ -6,7 +6,7 @@ import itertools
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -23,7 +23,7 @@ from ...study.compare.engines import engine_row, variants
 from ...study.compare.history import read_history, with_history
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
-from ...study.compare.outcome import Outcome, Unusable, exit_code, headline
+from ...study.compare.outcome import Member, Outcome, exit_code, headline
 from ...study.compare.qualify import NO_EFFECT, score, write_findings
 from ...study.compare.qualify import qualify as find
 from ...study.compare.reference import Reference
@@ -157,12 +157,10 @@ def command(  # noqa: PLR0913 - one for each option
         place = stack.enter_context(temporary_folder(report or cache_folder()))  # on one disk
         ran = iter(_run(suite, place))
         rows = [[next(ran) for _ in group] for group in groups]
-        if noise:
-            rows = [[replace(row[0], noisy=row[-1].run)] for row in rows]
-        rows = [engine_row(*row) if engines else [merged(*row)] for row in rows]
+        rows = [engine_row(*row) if engines or noise else [merged(*row)] for row in rows]
         outcomes = [*chain(*rows), *(_sweep(each, place, suite.jobs) for each in swept)]
         if history:
-            outcomes = list(with_history(outcomes, history, past, f"{exact} {kind}"))
+            outcomes = with_history(outcomes, history, past, f"{exact} {kind}")
         if report:
             write_report(outcomes, report / REPORT_FILE, values)
             write_junit(outcomes, report / JUNIT_FILE)
@@ -212,9 +210,7 @@ def _run(suite: Suite, folder: Path) -> list[Outcome]:
         return run_suite(suite, folder, on_outcome)
 
 
-def _swept(
-    scenarios: Iterable[Scenario | Unusable], changed: object, folder: Path | None
-) -> list[SuiteSweep]:
+def _swept(scenarios: Iterable[Member], changed: object, folder: Path | None) -> list[SuiteSweep]:
     """Return the sweeps of the scenarios, and name those in the folder that are of none."""
     for text in stray_sweeps(folder) if folder is not None else ():
         warn(text)

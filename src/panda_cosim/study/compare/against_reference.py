@@ -42,9 +42,8 @@ def verdict_problems(summary: Summary, reference: Reference) -> list[str]:
     """Check that the verdict is that of the reference, and what the scenario expects."""
     if summary.success == reference.summary.success:
         return [] if summary.as_expected else [summary.detail]
-    now, before = (
-        "a success" if s.success else "not a success" for s in (summary, reference.summary)
-    )
+    words = {True: "a success", False: "not a success"}
+    now, before = (words[each.success] for each in (summary, reference.summary))
     return [f"is {now}, the reference is {before} ({summary.detail})"]
 
 

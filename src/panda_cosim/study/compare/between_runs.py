@@ -126,9 +126,8 @@ class RunComparison:
             (row.name, multiple(row.multiple), f"{short(100.0 * row.share)} %", *row.texts)
             for row in self.signals
         ]
-        parameters, metrics = (
-            [row.cells for row in each] for each in (self.parameters, self.metrics)
-        )
+        parameters = [row.cells for row in self.parameters]
+        metrics = [row.cells for row in self.metrics]
         names = self.names
         return {
             "Recorded": Table(("Recorded", *names), recorded),
@@ -291,9 +290,5 @@ def _view(comparison: RunComparison) -> tuple[list[Part], str]:
     other = int(np.argmax(worst.largest))
     runs = [(comparison.recordings[i], comparison.names[i]) for i in (other + 1, 0)]
     columns = [row.name for row in comparison.signals[:VIEWED]]
-    part = views.add(
-        (show_source(each, name, summary=Summary.of(each)) for each, name in runs),
-        columns,
-        worst.times[other],
-    )
-    return [part], views.elements
+    shown = (show_source(each, name, summary=Summary.of(each)) for each, name in runs)
+    return [views.add(shown, columns, worst.times[other])], views.elements

@@ -51,21 +51,16 @@ class Row:
     unit: str = ""  # unless its name tells it
 
     def __str__(self) -> str:
-        """Say what it is in each run: `controller.kp 8 -> 6`."""
-        return f"{self.name} {' -> '.join(self.texts)}"
-
-    @property
-    def texts(self) -> list[str]:
-        """What it is in each run; of long texts both ends."""
-        texts = numbers(self.values)
-        return [it if len(it) < LONG else f"{it[:12]}...{it[-12:]}" for it in texts]
+        """Say what it is in each run: `controller.kp 8 -> 6`; long texts are cut."""
+        texts = (text if len(text) < LONG else f"{text[:12]}..." for text in numbers(self.values))
+        return f"{self.name} {' -> '.join(texts)}"
 
     @property
     def cells(self) -> tuple[str, ...]:
         """Its name, and what it is in each run, with the unit if it is known."""
         unit = self.unit or unit_of(self.name)
-        texts = (text if text == DASH else f"{text} {unit}".rstrip() for text in self.texts)
-        return self.name, *texts
+        texts = (text if text == DASH else f"{text} {unit}" for text in numbers(self.values))
+        return self.name, *map(str.rstrip, texts)
 
     @property
     def relative(self) -> float:

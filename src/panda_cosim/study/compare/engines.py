@@ -21,24 +21,22 @@ from ...result.recording import Recording
 from ...task.scenario import Scenario
 from ...task.tolerances import Tolerances, flattened
 from .causes import models_of
-from .outcome import Outcome, Unusable
+from .outcome import Member, Outcome
 from .tubes import widths
 
 Ticks = dict[str, list[int]]  # at which geoms touch, by pair
 
 BEYOND: Final = "beyond rounding"
-SHOWN: Final = 3  # pairs in a line
+SHOWN: Final = 3  # pairs of geoms in a line, the earliest
 NOISE: Final = 1.0 + 1e-14
 GROWTH: Final = 1000.0
 FLOOR: Final = 1e-5  # of a tolerance: less is rounding, also where the noise has no effect yet
 
 
-def variants(
-    scenario: Scenario | Unusable, engines: Sequence[str], repeats: int, *, noise: bool
-) -> list[Scenario | Unusable]:
+def variants(scenario: Member, engines: Sequence[str], runs: int, *, noise: bool) -> list[Member]:
     """Return a scenario, its repeats and, if these are asked for, it with noise and engines."""
     name = scenario.name
-    found = [scenario, *(replace(scenario, name=f"{name} run {n}") for n in range(2, repeats + 1))]
+    found = [scenario, *(replace(scenario, name=f"{name} run {n}") for n in range(2, runs + 1))]
     if (noise or engines) and isinstance(scenario, Scenario):
         found.append(replace(scenario, name=f"{name}-noise", input_scale=NOISE))
         found += [replace(scenario, name=f"{name}-{each}", mujoco=each) for each in engines]
@@ -46,8 +44,9 @@ def variants(
 
 
 def engine_row(own: Outcome, noisy: Outcome | None = None, *others: Outcome) -> list[Outcome]:
-    """Return the outcomes of a scenario: its own engine's, then the others' with differences."""
-    return [own, *(replace(o, difference=_difference(own, noisy, o)) for o in others if noisy)]
+    """Return a scenario's outcomes: its own engine's, then the others' with differences."""
+    first = replace(own, noisy=noisy.run if noisy else None)
+    return [first, *(replace(o, difference=_difference(own, noisy, o)) for o in others if noisy)]
 
 
 def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
@@ -57,10 +56,9 @@ def _difference(own: Outcome, noisy: Outcome, outcome: Outcome) -> str:
     first, noise, other = (Recording.open(each.run) for each in runs)
     told = [difference_of(first, noise, other, own.read.regression)]
     before, now = _touching(own), _touching(outcome)
-    told += [f"{pair} touch" for pair in sorted(now - before)]
-    told += [f"{pair} touch no more" for pair in sorted(before - now)]
+    told += [f"{pair} touch{' no more' * (pair in before)}" for pair in sorted(before ^ now)]
     if told[0].startswith(BEYOND):
-        told += changed_pairs(*map(_contacts, runs))
+        told += changed_pairs(*map(_contacts, runs))[:SHOWN]
     return "; ".join(told)
 
 
@@ -77,9 +75,8 @@ def touching(run: Path, model: Any, instance: str) -> Ticks:
     found = defaultdict[str, list[int]](list)
     signal = f"{instance}.qpos"
     qpos = recording[signal].reshape(recording.rows, -1) if signal in recording else np.empty(0)
-    if qpos.shape[-1] != model.nq:  # such as rotors of elastic joints, which no output tells
-        return found
-    for tick, data.qpos[:] in enumerate(qpos):
+    known = qpos.shape[-1] == model.nq  # no output tells where rotors of elastic joints are
+    for tick, data.qpos[:] in enumerate(qpos if known else ()):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         for pair in {tuple(sorted(pair)) for pair in data.contact.geom.tolist()}:
@@ -90,7 +87,8 @@ def touching(run: Path, model: Any, instance: str) -> Ticks:
 def _named(model: Any, geom: int) -> str:
     """Return the name of a geom, or its number in its body."""
     body = model.body(model.geom_bodyid[geom])
-    return model.geom(geom).name or f"{body.name or 'world'} geom {geom - body.geomadr[0] + 1}"
+    place = body.name or f"body {body.id}"
+    return model.geom(geom).name or f"{place} geom {geom - body.geomadr[0] + 1}"
 
 
 def changed_pairs(own: Ticks, noisy: Ticks, other: Ticks) -> list[str]:
@@ -101,8 +99,7 @@ def changed_pairs(own: Ticks, noisy: Ticks, other: Ticks) -> list[str]:
         tick = min(before ^ now, default=math.inf)
         if tick < min(before ^ noise, default=math.inf):
             found.append((tick, f"{pair} {'touch' if tick in now else 'are apart'} at tick {tick}"))
-    more = [f"{len(found) - SHOWN} more contacts change"] * (len(found) > SHOWN)
-    return [*(text for _, text in sorted(found)[:SHOWN]), *more]
+    return [text for _, text in sorted(found)]
 
 
 def _touching(outcome: Outcome) -> set[str]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from shutil import which
 from typing import Final, NamedTuple
 
 from pydantic_core import to_json
@@ -23,7 +23,6 @@ from ...task.scenario import Scenario
 from ..work import processor
 from .outcome import Outcome
 
-LARGEST: Final = 1_000_000_000  # [byte] of a history
 DIGITS: Final = 12  # hexadecimal ones of a digest
 
 
@@ -42,7 +41,7 @@ class Night(NamedTuple):
 def read_history(path: Path) -> list[Night]:
     """Read a history; one that does not exist is empty."""
     nights = []
-    lines = read_text(path, LARGEST).splitlines() if path.exists() else []
+    lines = read_text(path, 10**9).splitlines() if path.exists() else []
     for number, line in enumerate(lines, 1):
         try:
             nights.append(Night(**json.loads(line)))
@@ -53,26 +52,24 @@ def read_history(path: Path) -> list[Night]:
 
 def with_history(
     outcomes: Sequence[Outcome], path: Path, past: Sequence[Night], options: str
-) -> Iterator[Outcome]:
-    """Append a night to a history; yield the outcomes with all nights of their own."""
-    date, commit = time.strftime("%Y-%m-%dT%H:%M:%S%z"), ""
-    with suppress(OSError):  # there is no git
-        commit = run(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    nights = [_night(each, date, commit, options) for each in outcomes]
+) -> list[Outcome]:
+    """Append a night to a history; return the outcomes with all nights of their own."""
+    git = ["git", "rev-parse", "--short", "HEAD"]
+    stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z"), run(git).stdout.strip() if which(git[0]) else ""
+    nights = [_night(each, stamp, options) for each in outcomes]
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab") as file:
             file.writelines(to_json(n._asdict(), inf_nan_mode="null") + b"\n" for n in nights)
-    for outcome, night in zip(outcomes, nights, strict=True):
-        before = (each for each in past if each.scenario == outcome.name)
-        yield replace(outcome, nights=(*before, night))
+    known = [*past, *nights]
+    return [replace(o, nights=tuple(n for n in known if n.scenario == o.name)) for o in outcomes]
 
 
-def _night(outcome: Outcome, date: str, commit: str, options: str) -> Night:
+def _night(outcome: Outcome, stamp: tuple[str, str], options: str) -> Night:
     share, made = outcome.worst.share if outcome.worst else None, ""
     if isinstance(outcome.scenario, Scenario):
         kept = sorted((outcome.run / SCENARIO_FOLDER).rglob("*"))
         files = (file.read_bytes() for file in (*kept, outcome.reference_path) if file.is_file())
         made = digest(code_digest(()), repr(versions()), processor(), options, *files)[:DIGITS]
     recording = outcome.recording[:DIGITS]
-    return Night(outcome.name, date, commit, outcome.verdict, share, recording, made)
+    return Night(outcome.name, *stamp, outcome.verdict, share, recording, made)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,19 +58,13 @@ def details(outcome: Outcome) -> str:
 
 def write_cases(suite_name: str, cases: Sequence[Case], path: Path) -> None:
     """Write a suite of test cases."""
-    kinds = [case.fault[0] for case in cases if case.fault]
+    kinds = Counter(case.fault[0] for case in cases if case.fault)
+    counts = {"failures": kinds["failure"], "errors": kinds["error"], "skipped": kinds["skipped"]}
     root = ET.Element("testsuites")
     root.append(ET.Comment(MARK))
-    suite = ET.SubElement(
-        root,
-        "testsuite",
-        name=suite_name,
-        tests=str(len(cases)),
-        failures=str(kinds.count("failure")),
-        errors=str(kinds.count("error")),
-        skipped=str(kinds.count("skipped")),
-        time=f"{sum(case.seconds for case in cases):.3f}",
-    )
+    told = {"name": suite_name, "tests": len(cases), **counts}
+    told["time"] = f"{sum(case.seconds for case in cases):.3f}"
+    suite = ET.SubElement(root, "testsuite", {key: str(value) for key, value in told.items()})
     for case in cases:
         name, seconds = _valid(case.name), f"{case.seconds:.3f}"
         element = ET.SubElement(suite, "testcase", classname="scenarios", name=name, time=seconds)

@@ -26,10 +26,8 @@ def check_kept_runs(folder: Path, names: Iterable[str]) -> None:
     for place in (folder / name for name in names):
         is_own = any(file.is_relative_to(place) for file in own)
         if any(place.glob("*")) and not is_own:
-            raise InputError(
-                f"{place}: was not made by regress, so it stays; move it, or choose "
-                "another folder with --report"
-            )
+            advice = "move it, or choose another folder with --report"
+            raise InputError(f"{place}: was not made by regress, so it stays; {advice}")
 
 
 def replace_kept_runs(folder: Path, outcomes: Iterable[Outcome]) -> None:

@@ -49,6 +49,9 @@ class Unusable:
     duration: float = 0.0
 
 
+Member = Scenario | Unusable  # of a suite
+
+
 @dataclass(frozen=True)
 class Outcome:
     """The outcome of one scenario, or of a sweep, which has no reference.
@@ -62,7 +65,7 @@ class Outcome:
     and `flaky` if it ran several times with different verdicts or recordings.
     """
 
-    scenario: Scenario | Unusable | SuiteSweep
+    scenario: Member | SuiteSweep
     verdict: Verdict
     run: Path  # folder of the run
     seconds: float  # wall time of the run [s]

@@ -98,9 +98,8 @@ def render(page: Page) -> str:
         TEMPLATE, page=page, shown=shown, bar_length=bar_length, short_share=short_share
     )
     code = ["differences", "view"] if page.runs else ["differences"]
-    return document(
-        f"{legible(page.title, TEXT_LENGTH)} \N{EN DASH} panda-cosim", body, page.runs, code
-    )
+    title = f"{legible(page.title, TEXT_LENGTH)} \N{EN DASH} panda-cosim"
+    return document(title, body, page.runs, code)
 
 
 def bar_length(share: float) -> int:

@@ -31,13 +31,9 @@ pytest_plugins = ("panda_cosim.study.sweep.pytest_plugin",)
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options."""
     group = parser.getgroup("panda-cosim")
+    text = "collect a test for each scenario folder in DIR; may be repeated"
     group.addoption(
-        "--panda-scenarios",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="DIR",
-        help="collect a test for each scenario folder in DIR; may be repeated",
+        "--panda-scenarios", action="append", default=[], type=Path, metavar="DIR", help=text
     )
     group.addoption(
         "--panda-jobs", type=int, default=2, metavar="N", help="scenarios that run side by side"

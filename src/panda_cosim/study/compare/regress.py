@@ -25,7 +25,7 @@ from ...task.scenario import SCENARIO_FILE, Scenario, shipped_scenarios
 from ..work import Workers
 from .against_reference import Comparison, compare_with_reference
 from .causes import changed, changed_bounds, models_of
-from .outcome import Outcome, Unusable, Verdict
+from .outcome import Member, Outcome, Unusable, Verdict
 from .reference import Reference, how_to_make, kept_metadata
 from .tubes import widths_of_noise
 
@@ -39,7 +39,7 @@ TIMEOUT: Final = 600.0
 
 def start(
     workers: Workers,
-    scenario: Scenario | Unusable,
+    scenario: Member,
     run: Path,
     options: Options | None = None,
     *,
@@ -52,7 +52,7 @@ def start(
     return workers.submit(judge, scenario, died=failed, late=failed, time_limit=limit)
 
 
-def _outcome(scenario: Scenario | Unusable, *, run: Path, options: Options, exact: bool) -> Outcome:
+def _outcome(scenario: Member, *, run: Path, options: Options, exact: bool) -> Outcome:
     """Run a scenario in this process; compare it or, without a reference, judge its criteria."""
     if isinstance(scenario, Unusable):
         return Outcome(scenario, "failed", run, 0.0, error=scenario.error)
@@ -105,7 +105,7 @@ def _comparison(judged: Outcome, summary: Summary, exact: bool) -> Comparison:
     return replace(found, causes=(*bounds, *changed(before, now)))
 
 
-def _failed(scenario: Scenario | Unusable, run: Path, began: float, error: str) -> Outcome:
+def _failed(scenario: Member, run: Path, began: float, error: str) -> Outcome:
     seconds = time.perf_counter() - began
     criteria = Summary.open(run).criteria
     return Outcome(scenario, "failed", run, seconds, None, error, criteria)
@@ -115,15 +115,15 @@ def _failed(scenario: Scenario | Unusable, run: Path, began: float, error: str) 
 class Suite:
     """The scenarios of a suite, and how to run them."""
 
-    scenarios: Sequence[Scenario | Unusable]
+    scenarios: Sequence[Member]
     exact: bool = False  # whether each bit must match the reference
     jobs: int = 1  # how many run at the same time
     kind: Kind = "auto"  # of the project's own FMUs
 
 
 def with_values(
-    scenarios: Iterable[Scenario | Unusable], values: Values, ssv: Path | None = None
-) -> Iterator[Scenario | Unusable]:
+    scenarios: Iterable[Member], values: Values, ssv: Path | None = None
+) -> Iterator[Member]:
     """Yield the scenarios with values changed by key, or by a parameter set of SSP; checks them."""
     for scenario in scenarios:
         if isinstance(scenario, Unusable):
@@ -146,10 +146,8 @@ def run_suite(
         build(target=Target(suite.kind, mujoco=engine))  # once, not in each process
     outcomes, options = {}, Options(kind=suite.kind)
     with Workers(suite.jobs) as workers:
-        futures = [
-            start(workers, each, folder / each.name, options, exact=suite.exact)
-            for each in sorted(suite.scenarios, key=lambda s: -s.duration)
-        ]
+        ordered = sorted(suite.scenarios, key=lambda each: -each.duration)
+        futures = [start(workers, s, folder / s.name, options, exact=suite.exact) for s in ordered]
         for future in as_completed(futures):
             outcome = future.result()
             outcomes[outcome.name] = outcome
@@ -157,9 +155,7 @@ def run_suite(
     return [outcomes[scenario.name] for scenario in suite.scenarios]
 
 
-def find_scenarios(
-    names: Sequence[str] = (), folder: Path | None = None
-) -> list[Scenario | Unusable]:
+def find_scenarios(names: Sequence[str] = (), folder: Path | None = None) -> list[Member]:
     """Load scenarios by name, or all; an unusable folder becomes an `Unusable`."""
     known = shipped_scenarios() if folder is None else _scenarios_in(folder)
     place = "the shipped ones" if folder is None else str(folder)
@@ -173,7 +169,7 @@ def find_scenarios(
     return scenarios
 
 
-def _named(name: str, known: Mapping[str, Path], place: str) -> Scenario | Unusable:
+def _named(name: str, known: Mapping[str, Path], place: str) -> Member:
     if name in known:
         return read_scenario(known[name], name)
     if not (Path(name) / SCENARIO_FILE).is_file():
@@ -182,7 +178,7 @@ def _named(name: str, known: Mapping[str, Path], place: str) -> Scenario | Unusa
     return read_scenario(Path(name))
 
 
-def read_scenario(folder: Path, name: str = "") -> Scenario | Unusable:
+def read_scenario(folder: Path, name: str = "") -> Member:
     """Read a scenario of a suite, in which it has this name; "": that of its folder."""
     name = name or folder.resolve().name
     try:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +14,6 @@ from ...fmus.atomic import write_whole
 from ...result.judging.criterion import cells
 from ...result.recording import Recording
 from ...result.view.page import shown_run
-from ...result.view.run import Shown
 from ...run.output import versions
 from ...task.values import Values
 from .against_reference import Comparison, Deviation, matching_rows
@@ -118,13 +118,10 @@ def _deviation(d: Deviation) -> tuple[str | float, ...]:
 
 def _view(outcome: Outcome, shown: Sequence[Deviation], views: Views) -> Part:
     """Show the run in 3D at the instant of the worst deviation."""
-
-    def runs() -> Iterator[Shown]:
-        yield shown_run(outcome.run, name=outcome.name)
-        yield shown_reference(outcome.reference_path, f"reference of {outcome.name}")
-
-    columns = [deviation.name for deviation in shown]
-    limits = (limited(run, columns) for run in runs())
+    columns, name = [deviation.name for deviation in shown], outcome.name
+    run = partial(shown_run, outcome.run, name=name)
+    ghost = partial(shown_reference, outcome.reference_path, f"reference of {name}")
+    limits = (limited(each(), columns) for each in (run, ghost))
     return views.add(limits, columns, shown[0].time if shown else 0.0)
 
 

@@ -38,10 +38,9 @@ def reference_of(source: Recording) -> Path:
     name, folder = (source.metadata.get(key) for key in ("scenario", "scenario_folder"))
     place = Path(str(folder)) if folder else shipped_scenarios().get(str(name))
     if place is None:
-        raise InputError(
-            f"--against reference: scenario {name!r} is not one of the shipped ones, and the "
-            f"recording does not say where it is; give the path of its {REFERENCE_FILE}"
-        )
+        advice = f"does not say where it is; give the path of its {REFERENCE_FILE}"
+        unknown = f"scenario {name!r} is not one of the shipped ones, and the recording"
+        raise InputError(f"--against reference: {unknown} {advice}")
     return place / REFERENCE_FILE
 
 

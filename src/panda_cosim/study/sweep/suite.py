@@ -11,8 +11,8 @@ from typing import Final
 from ...fmus.errors import CosimError, InputError
 from ...result.judging.criterion import miss_text
 from ...run.execution import Progress
-from ...task.scenario import SCENARIO_FILE, Scenario
-from ..compare.outcome import Outcome, Unusable, Verdict
+from ...task.scenario import SCENARIO_FILE
+from ..compare.outcome import Member, Outcome, Verdict
 from .definition import Sweep
 from .report import write_report
 from .sweeping import sweep
@@ -51,7 +51,7 @@ class SuiteSweep:
         return Outcome(self, verdict, folder, seconds, error=problem, criteria=criteria)
 
 
-def find_sweeps(scenarios: Iterable[Scenario | Unusable]) -> list[SuiteSweep]:
+def find_sweeps(scenarios: Iterable[Member]) -> list[SuiteSweep]:
     """Return the sweeps in the folders of a suite's scenarios."""
     files = (each.folder / FILE for each in scenarios if each.folder is not None)
     return [SuiteSweep(file) for file in files if file.is_file()]
