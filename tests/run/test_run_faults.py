@@ -152,17 +152,16 @@ def test_an_ended_run_keeps_all_and_a_killed_one_all_but_half_a_second(
 def test_an_fmu_whose_process_ends_or_stops_while_c_steps_it_is_told(
     tmp_path, lasting, number, words
 ):
-    options = {"isolate": True, "step_timeout": 0.5, "realtime": 1.0}
-    command = run_command(lasting, tmp_path / "run", **options)
-    environment = os.environ | {"MARK": str(tmp_path / "mark")}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with running(command, env=environment, **pipes) as process, killed_after(process):
+    command = run_command(lasting, tmp_path / "run", isolate=True, step_timeout=0.5, realtime=1.0)
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    marked = {"env": os.environ | {"MARK": str(tmp_path)}}
+    with running(command, **streams, **marked) as process, killed_after(process):
         line_of(process)
-        os.kill(processes_with(environment["MARK"], "remote_slave")[0], number)
+        os.kill(processes_with(str(tmp_path), "remote_slave")[0], number)
         assert words in process.communicate(timeout=30)[1].decode()
-        assert process.returncode == 1
+    assert process.returncode == 1
     assert words in str(Recording.open(tmp_path / "run").reason)
-    assert not processes_with(environment["MARK"])
+    assert not processes_with(str(tmp_path))
 
 
 def test_a_step_that_hangs_can_be_left_by_asking_twice(tmp_path, faulty, lasting):

@@ -241,7 +241,6 @@ class Home:
 
 
 def of_law(law: type, scene: str, **parameters: float) -> Run:
-    """Run a law in memory."""
     values = {"fmus.controller": law, "scene": scene, "duration": 0.4}
     values |= {f"controller.{name}": value for name, value in parameters.items()}
     return rehearse(prepare(load_scenario("tutorial").changed(values)))
@@ -259,9 +258,7 @@ def test_a_torque_that_swings_from_limit_to_limit_is_an_unstable_loop(damping, u
     assert ("give that row more time" in limit) == (not unstable)
 
 
-def test_fingers_are_too_fast_by_a_command_that_jumps_or_a_touch_but_not_with_motors(
-    monkeypatch,
-):
+def test_fingers_are_too_fast_by_a_jump_or_a_touch_but_not_by_a_torque_law(monkeypatch):
     rate = 0.001 * FINGER_SPEED_MAX / (OPENING_MAX / 2) * CTRL_OPEN  # a ms
     run = of_law(Home, "tabletop")
     (line,) = (line for line in advice(run) if "finger speed" in line)
@@ -271,9 +268,7 @@ def test_fingers_are_too_fast_by_a_command_that_jumps_or_a_touch_but_not_with_mo
     assert "; no command asks for it: touch and set bodies down more gently" in line
     run = of_law(Damped, "motors")  # the hand moves as fast as it can
     assert not [line for line in advice(run) if "finger speed" in line]
-    moves = np.diff(run.recording["controller.ctrl[8]"])
-    assert moves[-150:] == pytest.approx(-rate)
-    assert moves.min() == pytest.approx(-rate)
+    assert np.diff(run.recording["controller.ctrl[8]"])[-150:] == pytest.approx(-rate)
 
 
 @pytest.mark.parametrize("yaw", [2.8, -2.4])

@@ -122,10 +122,9 @@ def _swings(recording: Recording, at: float, joint: int) -> bool:
 
 def _is_commanded(recording: Recording, at: float) -> bool:
     """Whether the gripper's command has just moved faster than the fingers can; if unknown, yes."""
-    if GRIPPER not in recording:
-        return True
     before = (recording.time > at - SWING) & (recording.time <= at)
-    return bool((np.abs(np.diff(recording[GRIPPER][before])) > GRADUAL).any())
+    moves = np.diff(recording[GRIPPER][before]) if GRIPPER in recording else np.inf
+    return bool((np.abs(moves) > GRADUAL).any())
 
 
 def _pushes(recording: Recording, at: float) -> Iterator[tuple[float, str]]:
