@@ -33,8 +33,6 @@ enum { WARNING = 1, ENDED = 100, EARLY, NOT_FINITE, EVENT, LATE, GONE, TOLD };
 /* What is said to an FMU's process, and its answers, in memory that both share. */
 enum { DONE, HEARD, ENDED_AT_END, FAILED, TAKE_STEP, LISTEN };
 
-static const double GLANCE = 0.05; /* [s] after which it is seen whether a process that does not answer is there */
-
 static const double ROUNDING = 1e-9; /* of a step: an FMU's clock may sum */
 
 /* Getters and setters differ in `const` only. */
@@ -141,6 +139,8 @@ static unsigned exchange(const call *c, double *row)
 }
 
 #if defined(__linux__)
+static const double GLANCE = 0.05; /* [s] after which it is seen whether a process that does not answer is there */
+
 EXPORT void panda_say(order *o, uint32_t word)
 {
     __atomic_store_n(&o->said, word, __ATOMIC_RELEASE);
