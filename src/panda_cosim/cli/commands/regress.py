@@ -19,7 +19,7 @@ from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
 from ...run.folder import default_folder
-from ...study.compare.engines import engine_row, variants
+from ...study.compare.engines import variants
 from ...study.compare.history import read_history, with_history
 from ...study.compare.junit import write_junit
 from ...study.compare.kept_runs import check_kept_runs, replace_kept_runs
@@ -35,7 +35,7 @@ from ...study.compare.regress import (
     run_suite,
     with_values,
 )
-from ...study.compare.repeats import merged
+from ...study.compare.repeats import rows_of
 from ...study.compare.report import write_report
 from ...study.compare.wording import multiple
 from ...study.sweep.suite import SuiteSweep, find_sweeps, stray_sweeps
@@ -139,7 +139,7 @@ def command(  # noqa: PLR0913 - one for each option
     """
     engines = tuple(dict.fromkeys(filter(None, mujoco.split(","))))
     given, values = find_scenarios(scenarios or (), folder), values_of(assignments)
-    past = read_history(history) if history else []
+    past = read_history(history)
     groups = [variants(each, engines, repeat, noise=noise) for each in given]
     runs = list(with_values(chain(*groups), values, ssv))
     suite = Suite(runs, exact, jobs or cores(), kind)
@@ -155,9 +155,7 @@ def command(  # noqa: PLR0913 - one for each option
     announce_python(kind)
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(report or cache_folder()))  # on one disk
-        ran = iter(_run(suite, place))
-        rows = [[next(ran) for _ in group] for group in groups]
-        rows = [engine_row(*row) if engines or noise else [merged(*row)] for row in rows]
+        rows = rows_of(groups, _run(suite, place), apart=noise or bool(engines))
         outcomes = [*chain(*rows), *(_sweep(each, place, suite.jobs) for each in swept)]
         if history:
             outcomes = with_history(outcomes, history, past, f"{exact} {kind}")

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from pydantic_core import to_json
 
-from ...fmus.atomic import writing
+from ...fmus.atomic import write_whole
 from ...fmus.build.identity import code_digest, digest
 from ...fmus.errors import refuse
 from ...fmus.processes import run
@@ -38,10 +38,10 @@ class Night(NamedTuple):
     made: str  # digest of code, versions, machine, scenario and reference; "": of a sweep
 
 
-def read_history(path: Path) -> list[Night]:
+def read_history(path: Path | None) -> list[Night]:
     """Read a history; one that does not exist is empty."""
     nights = []
-    lines = read_text(path, 10**9).splitlines() if path.exists() else []
+    lines = read_text(path, 10**9).splitlines() if path and path.exists() else []
     for number, line in enumerate(lines, 1):
         try:
             nights.append(Night(**json.loads(line)))
@@ -56,12 +56,9 @@ def with_history(
     """Append a night to a history; return the outcomes with all nights of their own."""
     git = ["git", "rev-parse", "--short", "HEAD"]
     stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z"), run(git).stdout.strip() if which(git[0]) else ""
-    nights = [_night(each, stamp, options) for each in outcomes]
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("ab") as file:
-            file.writelines(to_json(n._asdict(), inf_nan_mode="null") + b"\n" for n in nights)
-    known = [*past, *nights]
+    known = [*past, *(_night(each, stamp, options) for each in outcomes)]
+    lines = (to_json(night._asdict(), inf_nan_mode="null") + b"\n" for night in known)
+    write_whole(path, b"".join(lines))
     return [replace(o, nights=tuple(n for n in known if n.scenario == o.name)) for o in outcomes]
 
 
@@ -71,5 +68,4 @@ def _night(outcome: Outcome, stamp: tuple[str, str], options: str) -> Night:
         kept = sorted((outcome.run / SCENARIO_FOLDER).rglob("*"))
         files = (file.read_bytes() for file in (*kept, outcome.reference_path) if file.is_file())
         made = digest(code_digest(()), repr(versions()), processor(), options, *files)[:DIGITS]
-    recording = outcome.recording[:DIGITS]
-    return Night(outcome.name, *stamp, outcome.verdict, share, recording, made)
+    return Night(outcome.name, *stamp, outcome.verdict, share, outcome.recording[:DIGITS], made)

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from ...result.recording import Recording
-from .engines import difference_of
-from .outcome import MEANINGS, Outcome
+from .engines import difference_of, engine_row
+from .outcome import MEANINGS, Member, Outcome
+
+
+def rows_of(
+    groups: Iterable[Sequence[Member]], outcomes: Iterable[Outcome], *, apart: bool
+) -> list[list[Outcome]]:
+    """Return the outcomes of each scenario's variants: `apart`, or merged as its repeats."""
+    ran = iter(outcomes)
+    rows = [[next(ran) for _ in group] for group in groups]
+    return [engine_row(*row) if apart else [merged(*row)] for row in rows]
 
 
 def merged(first: Outcome, *others: Outcome) -> Outcome:
