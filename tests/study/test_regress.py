@@ -319,3 +319,4 @@ def test_a_case_whose_repeats_or_nights_differ_is_flaky(approved, tmp_path):
     nights.write_text("{}")
     refused = "history.jsonl: line 1: value '{}'; must be one that regress --history wrote"
     assert refused in cli(*regress, code=2).stderr
+    assert "history.jsonl" in cli(*regress[:-1], nights / "below", code=2).stderr

@@ -14,7 +14,7 @@ from pathlib import Path
 import typer
 from rich.text import Text
 
-from ...fmus.atomic import cache_folder, check_replaceable, temporary_folder
+from ...fmus.atomic import cache_folder, check_replaceable, replacing, temporary_folder
 from ...fmus.errors import CosimError, InputError
 from ...fmus.sources.targets import Kind
 from ...result.recording import Recording
@@ -155,10 +155,11 @@ def command(  # noqa: PLR0913 - one for each option
     announce_python(kind)
     with ExitStack() as stack:
         place = stack.enter_context(temporary_folder(report or cache_folder()))  # on one disk
+        nights = stack.enter_context(replacing(history)) if history else None
         rows = rows_of(groups, _run(suite, place), apart=noise or bool(engines))
         outcomes = [*chain(*rows), *(_sweep(each, place, suite.jobs) for each in swept)]
-        if history:
-            outcomes = with_history(outcomes, history, past, f"{exact} {kind}")
+        if nights:
+            outcomes = with_history(outcomes, nights, past, f"{exact} {kind}")
         if report:
             write_report(outcomes, report / REPORT_FILE, values)
             write_junit(outcomes, report / JUNIT_FILE)

@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 from pydantic_core import to_json
 
-from ...fmus.atomic import write_whole
 from ...fmus.build.identity import code_digest, digest
 from ...fmus.errors import refuse
 from ...fmus.processes import run
@@ -53,12 +52,12 @@ def read_history(path: Path | None) -> list[Night]:
 def with_history(
     outcomes: Sequence[Outcome], path: Path, past: Sequence[Night], options: str
 ) -> list[Outcome]:
-    """Append a night to a history; return the outcomes with all nights of their own."""
+    """Write a history with one night more; return the outcomes with all nights of their own."""
     git = ["git", "rev-parse", "--short", "HEAD"]
     stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z"), run(git).stdout.strip() if which(git[0]) else ""
     known = [*past, *(_night(each, stamp, options) for each in outcomes)]
     lines = (to_json(night._asdict(), inf_nan_mode="null") + b"\n" for night in known)
-    write_whole(path, b"".join(lines))
+    path.write_bytes(b"".join(lines))
     return [replace(o, nights=tuple(n for n in known if n.scenario == o.name)) for o in outcomes]
 
 
