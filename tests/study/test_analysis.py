@@ -16,7 +16,6 @@ from forked import command
 from panda_cosim import Options, Push, analyze, load_scenario, run_scenario
 from panda_cosim.fmus.master import kernel
 from panda_cosim.study.analysis.margins import frequencies
-from panda_cosim.study.analysis.state_space import COLUMNS, ROWS, realised, system
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.task.mismatch import Mismatch
 from refusals import refused
@@ -345,19 +344,6 @@ def test_the_arm_at_rest_has_joints_as_states_and_elastic_others_too(tmp_path):
 
 
 @pytest.mark.own_process
-def test_a_model_without_physical_states_is_the_one_that_python_control_identifies():
-    import control  # noqa: PLC0415 - as above
-
-    poles, (b, c) = np.array([0.9, 0.8, 0.5, -0.3]), np.random.default_rng(1).normal(size=(2, 4, 2))
-    pulses = np.array([c.T * poles**tick @ b for tick in range(200)])
-    pulses /= np.abs(pulses[1:]).max(axis=(0, 2))[:, None]  # as those that are fitted
-    model = system(*realised(pulses, (), PERIOD, ("u", "v"), ("y", "z"), "made-up")[0])
-    whole, _ = control.eigensys_realization(pulses.transpose(1, 2, 0), 4, ROWS, COLUMNS)
-    assert model.poles() == pytest.approx(whole.poles())
-    assert model.dcgain() == pytest.approx(whole.dcgain())
-
-
-@pytest.mark.own_process
 def test_a_notebook_shows_tables_and_all_responses_also_of_what_is_unstable(slide):
     good = analyze(slide)
     bad = analyze(load_scenario(slide).changed({"controller.damper": -5.0}))
@@ -370,13 +356,7 @@ def test_a_notebook_shows_tables_and_all_responses_also_of_what_is_unstable(slid
     drawn = {axes: [line for line in axes.lines if len(line.get_xdata()) > 2] for axes in shown}
     assert [len(lines) for lines in drawn.values()] == [1, 1, 2, 1, 1]
     hertz, decibels = drawn[gain][0].get_data()
-    s = good.responses.sensitivity.at(2.0 * math.pi * hertz)[:, 0, 0]
-    degrees = drawn[phase][0].get_ydata()
-    curve = 10.0 ** (decibels / 20.0) * np.exp(1j * np.radians(degrees))
-    assert curve == pytest.approx(1.0 / s - 1.0)
-    assert -360.0 < degrees[0] <= 0.0
-    assert np.abs(np.diff(degrees)).max() < 90.0  # it does not jump
-    assert np.array_equal(drawn[nichols][0].get_data(), (degrees, decibels))
-    assert drawn[singular][0].get_ydata() == pytest.approx(20.0 * np.log10(np.abs(s)))
+    at = 1.0 / good.responses.sensitivity.at(2.0 * math.pi * hertz)[:, 0, 0] - 1.0
+    assert decibels == pytest.approx(20.0 * np.log10(np.abs(at)))
     widths = [line.get_linewidth() for line in bad.plot().axes[2].lines]
     assert len(set(widths)) == len(widths)  # none covers another

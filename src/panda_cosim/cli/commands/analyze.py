@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from itertools import chain, product
 from pathlib import Path
 from textwrap import fill
+from threading import Thread
 
 import numpy as np
 from pydantic_core import to_json
@@ -84,6 +86,7 @@ def command(  # noqa: PLR0913 - one for each option
     files = [out / name for name in (NUMBERS_FILE, PLOT_FILE, MODEL_FILE)]
     check_replaceable(*files, overwrite=overwrite)
     tell("Measuring the loops ...")
+    Thread(target=import_module, args=("control",), daemon=True).start()  # 1 s, while FMUs step
     found = {name: analyze(each, at, loop=loop, verify=verify) for name, each in chosen.items()}
     remarks = [f"{name}: {text}" for name, each in found.items() for text in each.remarks]
     content = {**_described(found), "folder": out, "remarks": remarks}

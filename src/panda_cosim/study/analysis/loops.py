@@ -72,10 +72,9 @@ class Analysis(Measured):
         Signals have `_` for the point in their names.
         """
         is_, names = self.responses, (self.inputs, self.responses.outputs, "plant")
-        parts, _ = realised(is_.of_plant(ROWS + COLUMNS + 1), is_.states, self.period, *names)
-        return system(*parts)
+        return realised(is_.of_plant(ROWS + COLUMNS + 1), is_.states, self.period, *names)[0]
 
-    @cached_property
+    @property
     def closed(self) -> control.StateSpace:
         """`control.StateSpace` of the closed loops.
 
@@ -83,7 +82,7 @@ class Analysis(Measured):
         of `plant`. States: those of the plant as far as they are physical; those of the laws are
         identified.
         """
-        return system(*self._closed[0])
+        return self._closed[0]
 
     @property
     def model(self) -> control.StateSpace:
@@ -121,10 +120,8 @@ class Analysis(Measured):
     @property
     def matrices(self) -> dict[str, Any]:
         """A, B, C and D of `model`, the names of its inputs and outputs, and its period [s]."""
-        outputs = (*self.inputs, *self.positions)
-        a, b, c, d, *_ = self._closed[0]
-        model = {"A": a, "B": b, "C": c[: len(outputs)], "D": d[: len(outputs)]}
-        return model | {"inputs": self.inputs, "outputs": outputs, "period": self.period}
+        names = {"inputs": self.inputs, "outputs": (*self.inputs, *self.positions)}
+        return {n: getattr(self.model, n) for n in "ABCD"} | names | {"period": self.period}
 
     @property
     def remarks(self) -> list[str]:

@@ -47,8 +47,9 @@ def draw_analyses(cases: Mapping[str, Measured]) -> ShownFigure:
 
 def _draw(analysis: Measured, axes: Any, name: str, colour: str) -> None:
     """Draw one analysis: each loop in its own colour, or if it has a name, all in that of it."""
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
     omega, sensitivity = frequencies(analysis.responses), analysis.responses.sensitivity
-    hertz = omega / (2.0 * np.pi)
     moves = steps(analysis.responses)
     times = 1e3 * analysis.period * np.arange(len(moves))
     labels = (name, *"_" * len(moves)) if name else analysis.inputs
@@ -59,29 +60,25 @@ def _draw(analysis: Measured, axes: Any, name: str, colour: str) -> None:
         axes[0, 2].plot(times, move, label=label, **style)
         if analysis.margins.stable:
             answer = 1.0 / sensitivity.loop(i).at(omega)[:, 0, 0] - 1.0
-            gain, phase = _decibels(answer), np.degrees(np.unwrap(np.angle(-answer))) - 180.0
-            axes[0, 0].semilogx(hertz, gain, **style)
-            axes[1, 0].semilogx(hertz, phase, **style)
-            axes[0, 1].plot(phase, gain, **style)
+            loop = control.frd(answer, omega)
+            control.bode_plot(loop, ax=axes[:, :1], Hz=True, dB=True, show_legend=False, **style)
+            control.nichols_plot(loop, ax=axes[0, 1], grid=False, show_legend=False, **style)
     if analysis.margins.stable:
-        values = np.linalg.svd(sensitivity.at(omega), compute_uv=False)
-        axes[1, 1].semilogx(hertz, _decibels(values), color=colour)
-
-
-def _decibels(values: Any) -> Any:
-    return 20.0 * np.log10(np.abs(values))
+        values = control.frd(sensitivity.at(omega).transpose(1, 2, 0), omega)
+        control.singular_values_plot(
+            control.singular_values_response(values), ax=axes[1, 1], Hz=True, dB=True,
+            show_legend=False, color=colour,
+        )  # fmt: skip
 
 
 def _finish(axes: Any) -> None:
-    for each, labels in zip(axes.flat, TABLES["parts"], strict=True):
-        each.set(**labels)
+    for each, title in zip(axes.flat, TABLES["titles"], strict=True):
+        each.set_title(title)
     for each in (axes[0, 0], axes[1, 0], axes[1, 1]):
         each.xaxis.set_major_formatter("{x:g}")
-        each.grid(visible=True, which="both")
-    axes[0, 1].plot(-180.0, 0.0, "r+")
-    axes[1, 0].locator_params(axis="y", steps=(1, 1.5, 3, 4.5, 9, 10))
     axes[0, 0].axhline(0, color=GREY, lw=0.8)
     axes[1, 0].axhline(-180, color=GREY, lw=0.8)
+    axes[0, 2].set(xlabel="time [ms]", ylabel="position per unit of the input")
     axes[0, 2].set_xlim(0.0)
     axes[0, 2].legend()
 

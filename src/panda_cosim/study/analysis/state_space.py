@@ -1,4 +1,4 @@
-"""State-space models from responses to pulses (Ho and Kalman), for python-control.
+"""State-space models from responses to pulses, by python-control (Ho and Kalman).
 
 States have a meaning as far as possible: they are positions and speeds among the model's outputs.
 What the responses need beside these is identified, and has no meaning.
@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from ...fmus.master.wiring import Array
+
+if TYPE_CHECKING:
+    import control
+
 
 ORDER: Final = 40  # largest of a model
 ROWS: Final = 15  # of Hankel's matrix, as blocks; more are slow, and seldom better
@@ -21,17 +25,18 @@ FIT: Final = 1e-3  # of the peak, by which a model's response may differ from th
 INDEPENDENT: Final = 1e-3  # share of a state that does not follow from those before it
 
 
-def realised(pulses: Array, physical: Sequence[int], *about: Any) -> tuple[tuple[Any, ...], float]:
+def realised(
+    pulses: Array, physical: Sequence[int], *about: Any
+) -> tuple[control.StateSpace, float]:
     """Return the smallest model that gives the responses, and by how much it differs.
 
     Args:
         pulses: Responses (ticks, outputs, inputs) to a pulse of 1 in the first tick.
         physical: Outputs that are states, if the model has room for them.
         about: Period of a tick [s], and names of the inputs, outputs and the model.
-
-    Returns:
-        What `system` takes, and the difference.
     """
+    import control  # noqa: PLC0415 - brings matplotlib and scipy
+
     peaks = np.abs(pulses[1:]).max(axis=(0, 2), initial=0.0)
     peaks[peaks == 0.0] = 1.0
     scaled = pulses / peaks[:, None]
@@ -40,12 +45,13 @@ def realised(pulses: Array, physical: Sequence[int], *about: Any) -> tuple[tuple
     columns = min(COLUMNS, len(scaled) - 1 - rows)
     order = min(ORDER, rows * pulses.shape[1], columns * pulses.shape[2])
     with np.errstate(divide="ignore", invalid="ignore"):  # of states that are left out below
-        whole = _balanced(scaled, order, rows, columns)
+        # Its own sampling time would scale B: it is for responses to pulses of area 1.
+        whole, _ = control.eigensys_realization(scaled.transpose(1, 2, 0), order, rows, columns)
     errors: list[float] = []  # by order
     while len(errors) <= order and min(errors, default=math.inf) > FIT:
-        errors.append(_misfit(*_first(*whole, len(errors)), scaled))
+        errors.append(_misfit(*_first(whole, len(errors)), scaled))
     size = int(np.argmin(errors))
-    a, b, c = _first(*whole, size)
+    a, b, c = _first(whole, size)
     c = c * peaks[:, None]
     period, inputs, outputs, name = about
     states = _independent(c, physical)
@@ -55,27 +61,11 @@ def realised(pulses: Array, physical: Sequence[int], *about: Any) -> tuple[tuple
     basis[: len(states)] = c[states]
     inverse = np.linalg.inv(basis)
     matrices = basis @ a @ inverse, basis @ b, c @ inverse, pulses[0]
-    return (*matrices, period, inputs, outputs, name, names), errors[size]
+    return system(*matrices, period, inputs, outputs, name, names), errors[size]
 
 
-def _balanced(pulses: Array, order: int, rows: int, columns: int) -> tuple[Array, Array, Array]:
-    """A, B and C of a model, its states by their share of the responses.
-
-    As `control.eigensys_realization`; to import python-control takes 0.5 s.
-    """
-    _, outputs, inputs = pulses.shape
-    blocks = (pulses[row + 1 : row + columns + 2] for row in range(rows))
-    hankel = np.vstack([block.transpose(1, 0, 2).reshape(outputs, -1) for block in blocks])
-    now, later = hankel[:, :-inputs], hankel[:, inputs:]
-    left, values, right = np.linalg.svd(now)
-    scale = np.diag(1.0 / np.sqrt(values[:order]))
-    before, after = scale @ left[:, :order].T, right[:order].T
-    a = before @ later @ after @ scale
-    return a, before @ now[:, :inputs], now[:outputs] @ after @ scale
-
-
-def _first(a: Array, b: Array, c: Array, states: int) -> tuple[Array, Array, Array]:
-    return a[:states, :states], b[:states], c[:, :states]
+def _first(balanced: control.StateSpace, states: int) -> tuple[Array, Array, Array]:
+    return balanced.A[:states, :states], balanced.B[:states], balanced.C[:, :states]
 
 
 def _misfit(a: Array, b: Array, c: Array, pulses: Array) -> float:
