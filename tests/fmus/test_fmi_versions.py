@@ -19,10 +19,7 @@ from panda_cosim.fmus.master.system import open_system
 from panda_cosim.fmus.master.wiring import System
 from toy_fmu import INDICES, toy_fmu
 
-pytestmark = [
-    pytest.mark.own_process,
-    needs_compiler,
-]
+pytestmark = [pytest.mark.own_process, needs_compiler]
 U, Y = ([f"{name}{index}" for index in INDICES] for name in "uy")
 
 

@@ -65,16 +65,13 @@ def test_it_plays_the_file_that_inputs_writes(commands, tmp_path):
 HEADER = ",".join(("time", *NAMES)) + "\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        (None, "cannot be"),
-        ("time,x\n0,1\n", "line 1: .*columns"),
-        (HEADER + ",".join(["0"] * 14 + ["nan"]), "15 finite numbers"),
-        (HEADER + ",".join(["0.5"] * 15), "15 finite numbers per 0.001 s"),
-        (HEADER + ",".join(["x"] * 15), "cannot be read"),
-    ],
-)
+@pytest.mark.parametrize(("text", "told"), [
+    (None, "cannot be"),
+    ("time,x\n0,1\n", "line 1: .*columns"),
+    (HEADER + ",".join(["0"] * 14 + ["nan"]), "15 finite numbers"),
+    (HEADER + ",".join(["0.5"] * 15), "15 finite numbers per 0.001 s"),
+    (HEADER + ",".join(["x"] * 15), "cannot be read"),
+])  # fmt: skip
 def test_a_file_that_is_no_table_is_refused(commands, text, told, tmp_path):
     file = tmp_path / "bad.csv"
     if text is not None:

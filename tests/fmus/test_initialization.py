@@ -20,10 +20,7 @@ from panda_cosim.run.prepare import prepare
 from panda_cosim.study.check.diagnosis import rehearse
 from toy_fmu import library
 
-pytestmark = [
-    pytest.mark.own_process,
-    needs_compiler,
-]
+pytestmark = [pytest.mark.own_process, needs_compiler]
 SOURCE = Path(__file__).parents[1] / "c_fmu" / "start.c"
 NAMES = ("u", "y", "x0", "g", "c", "tolerance")
 CAUSALITIES = {"u": "input", "g": "parameter", "c": "parameter"}

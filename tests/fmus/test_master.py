@@ -90,9 +90,7 @@ WIRED = System(
 
 
 def loop(
-    coupling: Coupling = "gauss-seidel",
-    laws: Sequence[Law] = (drive, follow),
-    **options: Any,
+    coupling: Coupling = "gauss-seidel", laws: Sequence[Law] = (drive, follow), **options: Any
 ) -> Master:
     c = FakeSlave("c", laws[0], {"twice": 0.5, "u": 0.25})
     p = FakeSlave("p", laws[1], {"x": 1.0, "v": 0.0})

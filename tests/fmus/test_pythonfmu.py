@@ -278,17 +278,14 @@ main()
 """
 
 
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        ("run push --kind python --out OUT", 2),
-        ("build --kind pythonfmu --out OUT", 2),
-        ("build --slave SLAVE --out OUT", 2),
-        ("check sensor_offset", 2),
-        ("run tutorial --duration 0.05 --no-video --no-view --out OUT", 3),
-        ("check push", 0),
-    ],
-)
+@pytest.mark.parametrize(("words", "code"), [
+    ("run push --kind python --out OUT", 2),
+    ("build --kind pythonfmu --out OUT", 2),
+    ("build --slave SLAVE --out OUT", 2),
+    ("check sensor_offset", 2),
+    ("run tutorial --duration 0.05 --no-video --no-view --out OUT", 3),
+    ("check push", 0),
+])  # fmt: skip
 def test_without_the_package_only_what_needs_it_fails_in_one_line(words, code, tmp_path):
     places = {"OUT": tmp_path / "new", "SLAVE": Path(__file__).parents[1] / "slaves" / "decay.py"}
     done = script(WITHOUT, *(str(places.get(word, word)) for word in words.split()))

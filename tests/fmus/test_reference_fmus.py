@@ -256,17 +256,14 @@ def test_columns_of_the_trajectory_s_table_drive_inputs(tmp_path):
     assert again["it.Int8_output"].tolist() == recording["it.Int8_output"].tolist()
 
 
-@pytest.mark.parametrize(
-    ("csv_text", "message"),
-    [
-        ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: value 200; must be a who"),
-        ("time,it.Int8_input\n1,1\n0,2\n", "line 3: time: value '0'; must be a number, and not"),
-        ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
-        ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no FMU 'that'; valid: it"),
-        ("t,it.Int8_input\n0,1\n", "line 1: columns: value 't,it.Int8_input'; must be time"),
-        ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
-    ],
-)
+@pytest.mark.parametrize(("csv_text", "message"), [
+    ("time,it.Int8_input\n0,200\n", "it.Int8_input: row 1: value 200; must be a who"),
+    ("time,it.Int8_input\n1,1\n0,2\n", "line 3: time: value '0'; must be a number, and not"),
+    ("time,it.Int_input\n0,1\n", "it.Int_input: no such input of Feedthrough; did you mean"),
+    ("time,that.Int8_input\n0,1\n", "[inputs] 'that.Int8_input': no FMU 'that'; valid: it"),
+    ("t,it.Int8_input\n0,1\n", "line 1: columns: value 't,it.Int8_input'; must be time"),
+    ("time,it.UInt8_input\n0,1\n", "it.UInt8_input: is in [inputs], too; must be one element"),
+])  # fmt: skip
 def test_a_bad_table_of_inputs_is_refused_in_one_line(tmp_path, csv_text, message):
     (tmp_path / "inputs.csv").write_text(csv_text)
     values = '[inputs]\nfile = "inputs.csv"\n"it.UInt8_input" = 1\n'

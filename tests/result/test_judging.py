@@ -106,16 +106,13 @@ def test_two_bounds_are_two_criteria(recording):
     assert judged(recording, signal="a", reduce="max", above=0.1).value == 0.3  # not the larger
 
 
-@pytest.mark.parametrize(
-    ("keys", "word"),
-    [
-        ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
-        ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
-        (NEVER | {"from_": 1.5}, "does not settle within its window of 0.5 s"),
-        (NEVER | {"from_": "end"}, "a window of one row"),
-        ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
-    ],
-)
+@pytest.mark.parametrize(("keys", "word"), [
+    ({"signal": "f", "reduce": "max", "from_": "release"}, "no release in this run"),
+    ({"signal": "f", "reduce": "max", "from_": 5.0}, "no samples from 5 to 2 s"),
+    (NEVER | {"from_": 1.5}, "does not settle within its window of 0.5 s"),
+    (NEVER | {"from_": "end"}, "a window of one row"),
+    ({"signal": "steps", "reduce": "max"}, "did you mean .step."),
+])  # fmt: skip
 def test_what_cannot_be_measured_neither_holds_nor_is_missed(recording, keys, word):
     result = judged(recording, **keys, below=1.0)
     assert (result.value, result.margin, result.word) == (None, None, "not measured")

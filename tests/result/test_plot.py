@@ -210,16 +210,13 @@ def test_a_figure_is_the_same_file_each_time_with_its_font_and_may_be_replaced(t
         assert kind != "svg" or b"<text" not in contents[0]  # letters are outlines
 
 
-@pytest.mark.parametrize(
-    ("signals", "width", "words"),
-    [
-        ("plant.qpso", None, "did you mean 'plant.qpos'"),
-        ("plant.qpos - plant.noise", None, "plant.qpos has 4 and plant.noise has 1 elements"),
-        ("plant.qpos", "3 km", "must be a number from 30 to 1000 mm"),
-        ("", "88mm", "--signals: is missing"),
-        ("plant.qpos,", None, "--signals: value ''"),
-    ],
-)
+@pytest.mark.parametrize(("signals", "width", "words"), [
+    ("plant.qpso", None, "did you mean 'plant.qpos'"),
+    ("plant.qpos - plant.noise", None, "plant.qpos has 4 and plant.noise has 1 elements"),
+    ("plant.qpos", "3 km", "must be a number from 30 to 1000 mm"),
+    ("", "88mm", "--signals: is missing"),
+    ("plant.qpos,", None, "--signals: value ''"),
+])  # fmt: skip
 def test_what_cannot_be_drawn_is_refused(signals, width, words):
     assert words in refused(draw, [pendulum()], None, signals, width)
 

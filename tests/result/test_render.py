@@ -25,12 +25,7 @@ from panda_cosim.fmus.atomic import check_replaceable
 from panda_cosim.result.judging.holds import events, find_holds
 from panda_cosim.result.pictures import gl
 from panda_cosim.result.pictures.gl import RenderError
-from panda_cosim.result.pictures.motion import (
-    BLOCK_QUAT,
-    interpolate_qpos,
-    key_moments,
-    slerp,
-)
+from panda_cosim.result.pictures.motion import BLOCK_QUAT, interpolate_qpos, key_moments, slerp
 from panda_cosim.result.pictures.offscreen import OffscreenRenderer, describe_gl
 from panda_cosim.result.pictures.sheet import contact_sheet
 from panda_cosim.result.pictures.video import find_ffmpeg, render_video
@@ -240,16 +235,13 @@ def no_backend(monkeypatch, tmp_path):
 
 
 @pytest.mark.usefixtures("no_backend")
-@pytest.mark.parametrize(
-    ("backend", "libraries", "message"),
-    [
-        ("", [], r"tried egl, osmesa\): .*apt-get install libegl1 libgl1$"),
-        ("egl", ["EGL"], r"apt-get install libgl1 \(or unset MUJOCO_GL"),
-        ("egl", ["EGL", "GL"], r"egl says 'its process ended with code 7'"),
-        ("osmesa", [], r"tried osmesa\): .*apt-get install libosmesa6"),
-        ("off", [], r"switches drawing off"),
-    ],
-)
+@pytest.mark.parametrize(("backend", "libraries", "message"), [
+    ("", [], r"tried egl, osmesa\): .*apt-get install libegl1 libgl1$"),
+    ("egl", ["EGL"], r"apt-get install libgl1 \(or unset MUJOCO_GL"),
+    ("egl", ["EGL", "GL"], r"egl says 'its process ended with code 7'"),
+    ("osmesa", [], r"tried osmesa\): .*apt-get install libosmesa6"),
+    ("off", [], r"switches drawing off"),
+])  # fmt: skip
 def test_mujoco_gl_is_honoured_and_what_is_missing_named(monkeypatch, backend, libraries, message):
     monkeypatch.setenv("MUJOCO_GL", backend)
     monkeypatch.setattr(gl, "find_library", lambda name: name if name in libraries else None)

@@ -203,16 +203,13 @@ def test_old_summaries_are_read(number):
     assert Summary.read({"complete": False, "reason": "cut"}).brief == "ended early: cut"
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("{", "Expecting property name"),
-        ("[]", ".*must be the content of a summary.json"),
-        ('{"criteria": {"a": 1}}', "criteria: value .*; must be a list"),
-        ('{"limits": [1]}', "limits: value .*; must be a table of values"),
-        ('{"complete": 0}', "complete: value 0; must be true or false"),
-    ],
-)
+@pytest.mark.parametrize(("text", "told"), [
+    ("{", "Expecting property name"),
+    ("[]", ".*must be the content of a summary.json"),
+    ('{"criteria": {"a": 1}}', "criteria: value .*; must be a list"),
+    ('{"limits": [1]}', "limits: value .*; must be a table of values"),
+    ('{"complete": 0}', "complete: value 0; must be true or false"),
+])  # fmt: skip
 def test_a_damaged_summary_is_refused_with_its_place(text, told, tmp_path):
     (tmp_path / SUMMARY_FILE).write_text(text)
     with pytest.raises(InputError, match=f"{SUMMARY_FILE}: cannot be read: {told}"):

@@ -91,18 +91,15 @@ def test_a_body_is_judged_at_another_instant(recording):
         Success(body=tuple(again))
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ('[[success.body]]\nbody = "cup"', "no bound; must have at least one of tolerance"),
-        ('[[success.body]]\nbody = "cup"\ntolerance = 0.1', "position and tolerance"),
-        ('[[success.body]]\nbody = "cup"\nmax_tilt = 200', "from 0 to 180 deg"),
-        ('[[success.body]]\nbody = "cup"\nmax_tilt = 2\nat = "grasped"', "did you mean 'grasp'"),
-        ("[[success.body]]\nmax_tilt = 2", "body is missing"),
-        ('[[success.body]]\nbody = "obj"\nmax_tlt = 2', "did you mean 'max_tilt'"),
-        ('scene = "motors"', "must come with a controller that gives torques"),
-    ],
-)
+@pytest.mark.parametrize(("text", "told"), [
+    ('[[success.body]]\nbody = "cup"', "no bound; must have at least one of tolerance"),
+    ('[[success.body]]\nbody = "cup"\ntolerance = 0.1', "position and tolerance"),
+    ('[[success.body]]\nbody = "cup"\nmax_tilt = 200', "from 0 to 180 deg"),
+    ('[[success.body]]\nbody = "cup"\nmax_tilt = 2\nat = "grasped"', "did you mean 'grasp'"),
+    ("[[success.body]]\nmax_tilt = 2", "body is missing"),
+    ('[[success.body]]\nbody = "obj"\nmax_tlt = 2', "did you mean 'max_tilt'"),
+    ('scene = "motors"', "must come with a controller that gives torques"),
+])  # fmt: skip
 def test_bad_criteria_are_refused_in_a_line(tmp_path, text, told):
     write_files(tmp_path, f"duration = 1.0\n{text}\n")
     with pytest.raises(InputError, match=told):

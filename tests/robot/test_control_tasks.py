@@ -221,17 +221,14 @@ def test_the_pose_error_passes_a_low_pass():
         assert controller.outputs["qvel_ref"][0] == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("values", "cause"),
-    [
-        (NOISE, "mismatch.joint_noise"),
-        ({"scene": "elastic"}, 'scene "elastic"'),
-        ({"mismatch.preset": "worn"}, "mismatch.joint_noise"),
-        ({"mismatch.payload": 1.0}, ""),
-        (NOISE | {"gains": "robust"}, ""),
-        (NOISE | {"controller.kp": 1.0, "controller.ik_gain": 2.0}, ""),
-    ],
-)
+@pytest.mark.parametrize(("values", "cause"), [
+    (NOISE, "mismatch.joint_noise"),
+    ({"scene": "elastic"}, 'scene "elastic"'),
+    ({"mismatch.preset": "worn"}, "mismatch.joint_noise"),
+    ({"mismatch.payload": 1.0}, ""),
+    (NOISE | {"gains": "robust"}, ""),
+    (NOISE | {"controller.kp": 1.0, "controller.ik_gain": 2.0}, ""),
+])  # fmt: skip
 def test_default_gains_that_meet_mismatch_are_said(values, cause):
     notes = prepare(APPROACH.changed(values)).notes
     assert len(notes) == bool(cause)
