@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -32,6 +33,7 @@ _LEASHED: Final = (
 )
 ENTERS: Final = "\n" * 1000  # for programs that ask for the key Enter
 KEPT_LINES: Final = 50  # of a program's output, which fit a traceback
+STARTING: Final = 60.0  # [s] for a nursery to import what is needed
 CLOSING: Final = 1.0  # [s] for the last output of a program that has ended
 
 
@@ -87,6 +89,63 @@ class Child(_Beside):
             self.kill()
         self.connection.close()
         return self._process.wait()
+
+
+class Nursery(Child):
+    """A Python process that imports once what others need, and forks them, each a `Forked`.
+
+    It calls `nurse`. This process itself is not forked: the locks that its threads hold would stay
+    locked.
+    """
+
+    def ask(self, number: int, limit: float, files: Sequence[int] = ()) -> Any:
+        """Fork a process (0) that gets descriptors, or wait for the end of one for a time [s].
+
+        Returns the number of the new process, or how the other ended, as `Child.ended` does; raises
+        EOFError or OSError if there is no answer.
+        """
+        from multiprocessing.reduction import send_handle  # noqa: PLC0415 - slow to import
+
+        try:
+            self.connection.send((number, limit, len(files)))
+            for file in files:
+                send_handle(self.connection, file, None)
+            if not self.connection.poll(limit + CLOSING):
+                raise EOFError
+            return self.connection.recv()
+        except BaseException:  # whatever answer comes later, it is not for the next question
+            self.connection.close()
+            raise
+
+
+class Forked:
+    """A process that a `Nursery` has forked; otherwise as a `Child`."""
+
+    def __init__(self, nursery: Nursery, *files: int) -> None:
+        from multiprocessing.connection import Pipe  # noqa: PLC0415 - slow to import
+
+        self._nursery = nursery
+        self._code: int | None = None  # with which it has ended
+        self.connection, there = Pipe()
+        with there:
+            self._number: int = nursery.ask(0, STARTING, [there.fileno(), *files])
+
+    def ended(self, limit: float = CLOSING) -> int | None:
+        """Wait for its end, for a time [s]; return the exit code, or minus the signal."""
+        if self._code is None:
+            try:
+                self._code = self._nursery.ask(self._number, limit)
+            except (EOFError, OSError):  # it has ended, and all that it has forked with it
+                self._code = -signal.SIGKILL
+        return self._code
+
+    def end(self) -> None:
+        """Kill it with all that it has started; may be called again."""
+        if not self.connection.closed:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._number, signal.SIGKILL)
+            self.connection.close()
+            self.ended()
 
 
 class Program(_Beside):
@@ -149,6 +208,40 @@ def listen(descriptor: int, parent: int) -> Connection:
     os.set_inheritable(descriptor, False)  # or a process that an FMU starts would keep it open
     end_with(parent)
     return Connection(descriptor)
+
+
+def nurse(serve: Callable[..., None], descriptor: int, parent: int) -> None:
+    """In a nursery: fork processes, each of which serves, and say how they end."""
+    from multiprocessing.reduction import recv_handle  # noqa: PLC0415 - slow to import
+
+    connection, nursery = listen(descriptor, parent), os.getpid()
+    with suppress(EOFError, OSError):
+        while True:
+            number, limit, count = connection.recv()
+            if number:
+                connection.send(_exit_code(number, limit))
+                continue
+            files = [recv_handle(connection) for _ in range(count)]
+            if os.fork() == 0:
+                try:
+                    os.setsid()
+                    connection.send(os.getpid())
+                    connection.close()
+                    serve(*files, nursery)
+                finally:
+                    os._exit(1)
+            for file in files:
+                os.close(file)
+
+
+def _exit_code(number: int, limit: float) -> int | None:
+    """Wait for the end of a child for a time [s]; return its exit code, or minus the signal."""
+    until = time.monotonic() + limit
+    while not (ended := os.waitpid(number, os.WNOHANG))[0]:
+        if time.monotonic() > until:
+            return None
+        time.sleep(0.0002)
+    return os.waitstatus_to_exitcode(ended[1])
 
 
 def run(

@@ -26,7 +26,7 @@ import numpy as np
 
 from ..errors import CosimError, InputError, SimulationError
 from ..interface.variables import Value
-from ..processes import Child, listen
+from ..processes import Forked, Nursery, listen, nurse
 from .calls import Experiment, OnMessage, Spent, unheard
 from .fmu import REALS
 from .fmu_file import Fmu, load_fmpy
@@ -40,13 +40,20 @@ LEAVE_TIMEOUT = 1.0  # [s] for a process to end after its connection is closed
 # The shared memory begins with that of a step [s], its size [s], and what was said last.
 ORDER: Final = 3
 HEARD, ENDED_AT_END, FAILED = range(1, 4)  # as in stepper.c
-# A new interpreter, not a fork: after a fork, locks of this process's threads would stay locked.
-_CHILD: Final = (
+_NURSERY: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from panda_cosim.fmus.master.remote_slave import serve; serve(*map(int, sys.argv[2:]))"
+    "from panda_cosim.fmus.master.remote_slave import nurse_slaves; "
+    "nurse_slaves(*map(int, sys.argv[2:]))"
 )
 # In which Python handles a signal that came while C waited.
 _INTERRUPTED: Final = ctypes.CFUNCTYPE(None)(lambda: None)
+
+
+def nursery() -> Nursery:
+    """Start the process that forks one for each FMU."""
+    if not hasattr(os, "memfd_create"):
+        raise InputError("--isolate: not on this platform; must be Linux")
+    return Nursery("-u", "-c", _NURSERY, json.dumps([folder for folder in sys.path if folder]))
 
 
 class RemoteSlave:
@@ -63,10 +70,10 @@ class RemoteSlave:
         name: str,
         fmu: Fmu,
         on_message: OnMessage = unheard,
+        *,
+        nursery: Nursery,
         step_timeout: float | None = None,
     ) -> None:
-        if not hasattr(os, "memfd_create"):
-            raise InputError("--isolate: not on this platform; must be Linux")
         self.name, self.fmu = name, fmu
         self.stop = math.inf  # [s] up to which it can be stepped
         self.time: float | None = None  # of the present step [s]
@@ -77,13 +84,13 @@ class RemoteSlave:
         self.inputs: list[Any] | None = None
         self.outputs: list[Any] | None = None
         self._waiting = False  # for a reply
-        folders = json.dumps([folder for folder in sys.path if folder])
         with os.fdopen(os.memfd_create("fmu"), "w+b") as file:
             file.truncate(8 * (ORDER + 2 * len(fmu.variables)))
             self.memory = _mapped(file.fileno())
-            self._child = Child(
-                "-u", "-c", _CHILD, folders, str(file.fileno()), files=[file.fileno()]
-            )
+            try:
+                self._child = Forked(nursery, file.fileno())
+            except (EOFError, OSError):
+                raise SimulationError("its process could not be started", instance=name) from None
         self._connection = self._child.connection
         self.step = RemoteStep(self, self._connection.fileno())
 
@@ -227,12 +234,19 @@ def _mapped(file: int) -> Array:
 # In the FMU's process.
 
 
-def serve(file: int, descriptor: int, parent: int) -> None:
+def nurse_slaves(descriptor: int, parent: int) -> None:
+    """Fork a process for each FMU, once all that they need is imported."""
+    load_fmpy()
+    from . import fmi  # noqa: F401, PLC0415 - as above
+
+    nurse(serve, descriptor, parent)
+
+
+def serve(descriptor: int, file: int, parent: int) -> None:
     """Serve requests until the other side closes the connection."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the master handles it, and closes the connection
     connection = listen(descriptor, parent)
-    load_fmpy()  # now, when those of the other FMUs do so, too
     host = _Host(_mapped(file))
     os.close(file)
     with suppress(EOFError, OSError):

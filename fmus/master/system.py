@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -22,7 +22,7 @@ from .calls import Experiment, OnMessage, unheard
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
-from .remote_slave import RemoteSlave
+from .remote_slave import RemoteSlave, nursery
 from .step import Coupling, Stepper
 from .wiring import Array, Name, System
 
@@ -232,18 +232,22 @@ def open_system(  # noqa: PLR0913 - a run has this many sides
     tolerance: float = 0.0,  # relative, of FMUs that integrate; 0: as their descriptions say
 ) -> Iterator[OpenSystem]:
     """Open the FMUs, instantiate and initialize them; free them at the end."""
-    from .fmi import open_slave  # noqa: PLC0415 - FMPy takes 0.2 s
-
-    fmus = read_fmus(system, start_values, coupling, isolate=isolate)
-    for instance, text in notes(fmus, system, step_size):
-        on_message(instance, "Warning", text)
-    multiples = multiples_of(fmus, system, step_size)
-    ends = ((fmus[end[0]].variable(end[1]), end) for end in (*system.external, *system.read))
     with ExitStack() as stack:
+        make: Callable[..., Instance]
+        if isolate:
+            forking = nursery()  # it imports meanwhile
+            stack.callback(forking.end)
+            make = partial(RemoteSlave, nursery=forking, step_timeout=step_timeout)
+        else:
+            from .fmi import open_slave as make  # noqa: PLC0415 - FMPy takes 0.2 s
+        fmus = read_fmus(system, start_values, coupling, isolate=isolate)
+        for instance, text in notes(fmus, system, step_size):
+            on_message(instance, "Warning", text)
+        multiples = multiples_of(fmus, system, step_size)
+        ends = ((fmus[end[0]].variable(end[1]), end) for end in (*system.external, *system.read))
         here = working_directory()
         stack.callback(return_to, here)
         slaves: dict[str, Instance] = {}
-        make = partial(RemoteSlave, step_timeout=step_timeout) if isolate else open_slave
         for name, fmu in fmus.items():
             slaves[name] = make(name, fmu, on_message)
             stack.callback(slaves[name].close)

@@ -89,16 +89,13 @@ def test_delay_and_dropout_act_on_the_line_and_other_errors_on_the_sensors(pick)
     assert sources["qpos[8]"] == ("plant", "qpos[8]")  # a finger, which no sensor measures
 
 
-@pytest.mark.parametrize(
-    ("line", "new", "problem"),
-    [
-        ('robot = "fr3"', "", "robot: value 'panda'; must be \"fr3\" with the FMU franka"),
-        ('scene = "motors"', "", 'scene "motors" takes torques'),
-        ('controller = "franka"', "", "trajectory.csv: no such file"),
-        ('"franka"', '"franca"', "[fmus] controller: value 'franca'; must be LAW.py:CLASS"),
-        ('"franka"', '"franca"', "did you mean 'franka'?"),
-    ],
-)
+@pytest.mark.parametrize(("line", "new", "problem"), [
+    ('robot = "fr3"', "", "robot: value 'panda'; must be \"fr3\" with the FMU franka"),
+    ('scene = "motors"', "", 'scene "motors" takes torques'),
+    ('controller = "franka"', "", "trajectory.csv: no such file"),
+    ('"franka"', '"franca"', "[fmus] controller: value 'franca'; must be LAW.py:CLASS"),
+    ('"franka"', '"franca"', "did you mean 'franka'?"),
+])  # fmt: skip
 def test_what_the_interface_needs_is_said(tmp_path, line, new, problem):
     make_scenario(tmp_path / "pick", ["franka"])
     path: Path = tmp_path / "pick" / "scenario.toml"

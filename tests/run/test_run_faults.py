@@ -18,8 +18,9 @@ import pytest
 import forked
 from bounded import killed_after, line_of, ran, running, wait_until
 from fault_support import build_faulty, processes_with, run_command, run_with_fault, write_scenario
-from panda_cosim import InputError, Options, Recording, run_scenario
+from panda_cosim import InputError, Options, Recording, Scenario, SimulationError, run_scenario
 from panda_cosim.fmus.atomic import TEMPORARY
+from panda_cosim.fmus.master import remote_slave
 
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
 SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running
@@ -145,10 +146,9 @@ def test_an_ended_run_keeps_all_and_a_killed_one_all_but_half_a_second(
     assert processes_with(str(tmp_path)) == []
 
 
-@pytest.mark.parametrize(
-    ("number", "words"),
-    [(signal.SIGKILL, "its process was ended by SIGKILL"), (signal.SIGSTOP, "no answer for 0.5 s")],
-)
+@pytest.mark.parametrize(("number", "words"), [
+    (signal.SIGKILL, "its process was ended by SIGKILL"), (signal.SIGSTOP, "no answer for 0.5 s"),
+])  # fmt: skip
 def test_an_fmu_whose_process_ends_or_stops_while_c_steps_it_is_told(
     tmp_path, lasting, number, words
 ):
@@ -157,11 +157,17 @@ def test_an_fmu_whose_process_ends_or_stops_while_c_steps_it_is_told(
     marked = {"env": os.environ | {"MARK": str(tmp_path)}}
     with running(command, **streams, **marked) as process, killed_after(process):
         line_of(process)
-        os.kill(processes_with(str(tmp_path), "remote_slave")[0], number)
+        os.kill(max(processes_with(str(tmp_path), "remote_slave")), number)
         assert words in process.communicate(timeout=30)[1].decode()
     assert process.returncode == 1
     assert words in str(Recording.open(tmp_path / "run").reason)
     assert not processes_with(str(tmp_path))
+
+
+def test_a_process_that_cannot_be_started_is_told(scenario, tmp_path, monkeypatch):
+    monkeypatch.setattr(remote_slave, "_NURSERY", "")
+    with pytest.raises(SimulationError, match="FMU 'controller': its process could not be started"):
+        run_scenario(Scenario.read(scenario), tmp_path / "run", Options(isolate=True))
 
 
 def test_a_step_that_hangs_can_be_left_by_asking_twice(tmp_path, faulty, lasting):
@@ -260,7 +266,7 @@ def test_a_killed_master_takes_its_fmus_along(tmp_path, faulty, scenario):
     environment = os.environ | {"FAULT": "hang@20", "FAULT_FILE": str(hangs)}
     with running(command, env=environment, stdout=subprocess.DEVNULL):  # it is killed at the end
         wait_until(hangs.exists)
-        assert len(processes_with(mark, "remote_slave")) == 2
+        assert len(processes_with(mark, "remote_slave")) == 3  # two, and what forks them
     wait_until(lambda: not processes_with(mark, "remote_slave"))
 
 

@@ -272,19 +272,16 @@ def test_a_killed_session_is_run_again_to_the_end(tmp_path):
         assert killed[name].tobytes() == whole[name][: killed.rows].tobytes()
 
 
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ([], "line 1: format: Field required"),
-        (['{"format": 2, "scenario": "x", "kind": "native"}'], "line 1: format: Input should be 1"),
-        (["[1]"], "line 1: Input should be an object"),
-        ([None, "{"], "line 2: Invalid JSON"),
-        ([None, '{"tick": -1, "action": "end"}'], "line 2: tick: value -1; must be a whole"),
-        ([None, '{"tick": 5}'], "action: value None; must be one of set"),
-        ([None, '{"tick": 5, "action": "set", "name": 7}'], "2: set: name: Input should be a"),
-        ([None, '{"tick": 5, "action": "end"}', '{"tick": 4}'], "line 3: tick: value 4; .* from 5"),
-    ],
-)
+@pytest.mark.parametrize(("lines", "message"), [
+    ([], "line 1: format: Field required"),
+    (['{"format": 2, "scenario": "x", "kind": "native"}'], "line 1: format: Input should be 1"),
+    (["[1]"], "line 1: Input should be an object"),
+    ([None, "{"], "line 2: Invalid JSON"),
+    ([None, '{"tick": -1, "action": "end"}'], "line 2: tick: value -1; must be a whole"),
+    ([None, '{"tick": 5}'], "action: value None; must be one of set"),
+    ([None, '{"tick": 5, "action": "set", "name": 7}'], "2: set: name: Input should be a"),
+    ([None, '{"tick": 5, "action": "end"}', '{"tick": 4}'], "line 3: tick: value 4; .* from 5"),
+])  # fmt: skip
 def test_a_damaged_journal_is_refused_with_its_line(tmp_path, lines, message):
     path = tmp_path / "session.jsonl"
     head = json.dumps({"format": 1, **HEAD})
