@@ -42,7 +42,7 @@ interface SweepData {
   isGrid: boolean;
   nominal: Record<string, number>;
   influences: Record<string, [key: string, value: number, low: number | null, high: number | null][]> | null;
-  search: false | "fail" | "succeed";
+  search: false | "fail" | "best";
   searched: string;
   results: string[];
   errors: string[];
