@@ -8,12 +8,10 @@ the steps on both sides, they are asked for and answered by a word in that memor
 from __future__ import annotations
 
 import ctypes
-import json
 import math
 import mmap
 import os
 import signal
-import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -24,7 +22,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from ..errors import CosimError, InputError, SimulationError
+from ..errors import CosimError, SimulationError
 from ..interface.variables import Value
 from ..processes import Forked, Nursery, listen, nurse
 from .calls import Experiment, OnMessage, Spent, unheard
@@ -40,20 +38,8 @@ LEAVE_TIMEOUT = 1.0  # [s] for a process to end after its connection is closed
 # The shared memory begins with that of a step [s], its size [s], and what was said last.
 ORDER: Final = 3
 HEARD, ENDED_AT_END, FAILED = range(1, 4)  # as in stepper.c
-_NURSERY: Final = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from panda_cosim.fmus.master.remote_slave import nurse_slaves; "
-    "nurse_slaves(*map(int, sys.argv[2:]))"
-)
 # In which Python handles a signal that came while C waited.
 _INTERRUPTED: Final = ctypes.CFUNCTYPE(None)(lambda: None)
-
-
-def nursery() -> Nursery:
-    """Start the process that forks one for each FMU."""
-    if not hasattr(os, "memfd_create"):
-        raise InputError("--isolate: not on this platform; must be Linux")
-    return Nursery("-u", "-c", _NURSERY, json.dumps([folder for folder in sys.path if folder]))
 
 
 class RemoteSlave:

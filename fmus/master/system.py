@@ -22,7 +22,8 @@ from .calls import Experiment, OnMessage, unheard
 from .fmu import FmuSlave, return_to, working_directory
 from .fmu_file import Fmu, read_fmu
 from .master import Master
-from .remote_slave import RemoteSlave, nursery
+from .nursery import nursery
+from .remote_slave import RemoteSlave
 from .step import Coupling, Stepper
 from .wiring import Array, Name, System
 

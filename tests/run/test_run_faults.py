@@ -20,7 +20,7 @@ from bounded import killed_after, line_of, ran, running, wait_until
 from fault_support import build_faulty, processes_with, run_command, run_with_fault, write_scenario
 from panda_cosim import InputError, Options, Recording, Scenario, SimulationError, run_scenario
 from panda_cosim.fmus.atomic import TEMPORARY
-from panda_cosim.fmus.master import remote_slave
+from panda_cosim.fmus.master import nursery
 
 KEPT_BACK = 0.5  # [s] of wall time that a SIGKILL may cost
 SCHEDULING = 0.5  # [s] that a busy machine may keep a process from running
@@ -165,7 +165,7 @@ def test_an_fmu_whose_process_ends_or_stops_while_c_steps_it_is_told(
 
 
 def test_a_process_that_cannot_be_started_is_told(scenario, tmp_path, monkeypatch):
-    monkeypatch.setattr(remote_slave, "_NURSERY", "")
+    monkeypatch.setattr(nursery, "_CODE", "")
     with pytest.raises(SimulationError, match="FMU 'controller': its process could not be started"):
         run_scenario(Scenario.read(scenario), tmp_path / "run", Options(isolate=True))
 

@@ -64,6 +64,8 @@ class LazyCommand(TyperCommand):
         name = str(self.name)
         if args and f"{name} {args[0]}" in ELSEWHERE:  # such as `sweep report`
             name, args = f"{name} {args[0]}", args[1:]
+        if "--isolate" in args:
+            startup.start_isolation()
         command = load(name)
         startup.imported()
         return command.make_context(name, args, *more, **extra)

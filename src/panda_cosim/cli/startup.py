@@ -7,6 +7,7 @@ Processor time of `run --no-video`, 0.74 s in all, that each of these saves:
 | no search for garbage while modules are imported (`begin`, `imported`) | 0.04 s |
 | none at the end, in what is freed with the process anyway (`end`) | 0.18 s |
 | what closes and draws a run is imported while FMUs in C step (`meanwhile`) | 0.1 s of waiting |
+| the process of isolated FMUs imports beside this one (`start_isolation`) | 0.1 s of waiting |
 | no search for pydantic's plugins, no threads of OpenBLAS (`environment`) | 0.03 s |
 """
 
@@ -38,6 +39,13 @@ def keep_output() -> None:
         own = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding)
         os.dup2(2, 1)
         sys.stdout = own
+
+
+def start_isolation() -> None:
+    """Before a command is imported that runs each FMU in a process of its own."""
+    from ..fmus.master.nursery import start_ahead  # noqa: PLC0415 - few runs need it
+
+    start_ahead()
 
 
 def imported() -> None:
