@@ -13,14 +13,13 @@ from .gains import Gains
 
 _NAMES: Final = [gain.name for gain in fields(Gains)]
 
-
-def _from_to(first: str, last: str) -> frozenset[str]:
-    return frozenset(_NAMES[_NAMES.index(first) : _NAMES.index(last) + 1])
-
-
 # Gains that only the impedance law has, and that only the laws with servos have.
-OF_IMPEDANCE: Final = _from_to("stiffness", "posture_damping")
-OF_SERVOS: Final = _from_to("kp", "inertia_feedforward") - {"base_ctrl", "posture"}
+OF_IMPEDANCE: Final = frozenset(
+    _NAMES[_NAMES.index("stiffness") : _NAMES.index("posture_damping") + 1]
+)
+OF_SERVOS: Final = frozenset(
+    _NAMES[_NAMES.index("kp") : _NAMES.index("inertia_feedforward") + 1]
+) - {"base_ctrl", "posture"}
 DEFAULT: Final = Gains()
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
