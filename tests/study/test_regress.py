@@ -15,7 +15,8 @@ from forked import command as cli
 from forked import run_pytest, script
 from panda_cosim import load_scenario, shipped_scenarios
 from panda_cosim.fmus.sources.targets import build
-from panda_cosim.study.compare.outcome import Outcome
+from panda_cosim.study.compare.history import Night
+from panda_cosim.study.compare.outcome import MEANINGS, Outcome
 from panda_cosim.study.compare.reference import REFERENCE_FILE, Reference
 from panda_cosim.study.compare.regress import find_scenarios, start
 from panda_cosim.study.compare.repeats import merged
@@ -316,6 +317,8 @@ def test_a_case_whose_repeats_or_nights_differ_is_flaky(approved, tmp_path):
     (folder / "law.py").write_text(RANDOM.replace("0.1)", "0.11)"))
     assert "flaky" not in cli(*regress, code=0).stdout
     assert nights.read_text().count('"verdict":"holds","share":null,') == 3
+    marks = [Night("", "", "", verdict, None, "", "").mark for verdict in MEANINGS]
+    assert "".join(marks) == "✗✗✗✗??✓✓"  # the worst come first
     nights.write_text("{}")
     refused = "history.jsonl: line 1: value '{}'; must be one that regress --history wrote"
     assert refused in cli(*regress, code=2).stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from shutil import which
 from typing import Final, NamedTuple
 
+from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from ...fmus.build.identity import code_digest, digest
@@ -20,9 +20,10 @@ from ...run.output import versions
 from ...task.files import read_text
 from ...task.scenario import Scenario
 from ..work import processor
-from .outcome import Outcome
+from .outcome import MEANINGS, Outcome, Verdict
 
 DIGITS: Final = 12  # hexadecimal ones of a digest
+MARKS: Final = {"good": "✓", "warn": "?", "bad": "✗"}  # of verdicts, by level
 
 
 class Night(NamedTuple):
@@ -31,20 +32,25 @@ class Night(NamedTuple):
     scenario: str
     date: str  # local time with its zone, ISO 8601
     commit: str  # of the working directory; "": it is in no repository
-    verdict: str
+    verdict: Verdict
     share: float | None  # of its tube that the worst signal took; None: nothing was compared
     recording: str  # digest of all values; "": there is none
     made: str  # digest of code, versions, machine, scenario and reference; "": of a sweep
 
+    @property
+    def mark(self) -> str:
+        """A character for its verdict."""
+        return MARKS[MEANINGS[self.verdict].level]
+
 
 def read_history(path: Path | None) -> list[Night]:
     """Read a history; one that does not exist is empty."""
-    nights = []
+    nights, known = [], TypeAdapter(Night)
     lines = read_text(path, 10**9).splitlines() if path and path.exists() else []
     for number, line in enumerate(lines, 1):
         try:
-            nights.append(Night(**json.loads(line)))
-        except (ValueError, TypeError):
+            nights.append(known.validate_json(line))
+        except ValidationError:
             refuse(f"{path}: line {number}", line, "must be one that regress --history wrote")
     return nights
 
